@@ -1,0 +1,128 @@
+#include "common/diag.h"
+
+#include <stdarg.h>
+#include <string.h>
+
+#include "common/mem.h"
+
+enum { WORD_MAX = 64, TEXT_MAX = 1000 };
+
+void diag_init(struct diag_list *list)
+{
+    *list = (struct diag_list){0};
+}
+
+static void item_release(struct diag *d)
+{
+    mem_free(d->file);
+    mem_free(d->path);
+    mem_free(d->text);
+    mem_free(d->hint);
+}
+
+void diag_release(struct diag_list *list)
+{
+    for (size_t i = 0; i < list->count; i++)
+        item_release(&list->items[i]);
+    mem_free(list->items);
+    diag_init(list);
+}
+
+/* Foreign names appear in the texts: what would steer the terminal is masked. */
+static void mask_controls(char *text)
+{
+    for (; *text; text++)
+        if ((unsigned char)*text < 0x20 || *text == 0x7f)
+            *text = '?';
+}
+
+static char *copy_masked(const char *text)
+{
+    char *copy = text ? mem_strndup(text, TEXT_MAX) : NULL;
+    if (copy)
+        mask_controls(copy);
+    return copy;
+}
+
+void diag_add(struct diag_list *list, enum diag_severity severity, struct diag_place place,
+              const char *id, const char *hint, const char *format, ...)
+{
+    if (severity == DIAG_ERROR)
+        list->error_count++;
+    else
+        list->warning_count++;
+    if (list->count >= DIAG_MAX ||
+        !mem_grow((void **)&list->items, list->count, &list->capacity, sizeof *list->items))
+        return;
+
+    char text[TEXT_MAX];
+    va_list args;
+    va_start(args, format);
+    (void)vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    struct diag d = {.severity = severity,
+                     .file = copy_masked(place.file),
+                     .line = place.line,
+                     .path = copy_masked(place.path),
+                     .text = copy_masked(text),
+                     .hint = copy_masked(hint),
+                     .id = id};
+    if (!d.text) {
+        item_release(&d);
+        return;
+    }
+    list->items[list->count++] = d;
+}
+
+void diag_print(const struct diag_list *list, FILE *to)
+{
+    for (size_t i = 0; i < list->count; i++) {
+        const struct diag *d = &list->items[i];
+        if (d->file)
+            (void)fprintf(to, d->line ? "%s:%llu: " : "%s: ", d->file, (unsigned long long)d->line);
+        if (d->path)
+            (void)fprintf(to, "%s: ", d->path);
+        (void)fprintf(to, "%s%s", d->severity == DIAG_WARNING ? "warning: " : "", d->text);
+        (void)fprintf(to, "\n  %s%s[%s]\n", d->hint ? d->hint : "", d->hint ? "  " : "", d->id);
+    }
+    size_t unseen = list->error_count + list->warning_count - list->count;
+    if (unseen)
+        (void)fprintf(to, "and %zu more\n", unseen);
+}
+
+/* Levenshtein distance with two rows; words longer than WORD_MAX are far from everything. */
+static size_t edit_distance(const char *a, const char *b)
+{
+    size_t m = strlen(a), n = strlen(b);
+    size_t row[WORD_MAX + 1];
+    if (m > WORD_MAX || n > WORD_MAX)
+        return WORD_MAX;
+    for (size_t j = 0; j <= n; j++)
+        row[j] = j;
+    for (size_t i = 1; i <= m; i++) {
+        size_t diagonal = row[0];
+        row[0] = i;
+        for (size_t j = 1; j <= n; j++) {
+            size_t change = diagonal + (a[i - 1] != b[j - 1]);
+            diagonal = row[j];
+            size_t best = row[j] < row[j - 1] ? row[j] + 1 : row[j - 1] + 1;
+            row[j] = best < change ? best : change;
+        }
+    }
+    return row[n];
+}
+
+const char *diag_nearest(const char *word, const char *const *known, size_t known_count)
+{
+    const char *best = NULL;
+    size_t limit = strlen(word) / 3 > 2 ? strlen(word) / 3 : 2;
+    size_t best_distance = limit + 1;
+    for (size_t i = 0; i < known_count; i++) {
+        size_t distance = edit_distance(word, known[i]);
+        if (distance < best_distance) {
+            best_distance = distance;
+            best = known[i];
+        }
+    }
+    return best;
+}

@@ -1,0 +1,124 @@
+/* common/job_spec.h: what a job asks for besides the scene, and how its samples
+ * are cut into blocks.
+ *
+ * The client resolves defaults, scene file and options into one job_spec; it
+ * travels as one small JSON object (API, store, JobInfo message), read by the one
+ * checked parser here. Pure; any thread.
+ */
+#ifndef COMMON_JOB_SPEC_H
+#define COMMON_JOB_SPEC_H
+
+#include "common/diag.h"
+#include "common/err.h"
+
+/* X(enum suffix, name in options and JSON) */
+#define JOB_INTEGRATORS(X) X(INTERSECTION_TEST, "intersection_test") X(PATH, "path")               \
+    X(DIRECT, "direct") X(AO, "ao")
+#define JOB_PROFILES(X) X(MIS, "MIS") X(NEE, "NEE") X(RW, "RW")
+#define JOB_SAMPLERS(X) X(SOBOL, "sobol") X(HALTON, "halton") X(INDEPENDENT, "independent")
+#define JOB_FILTERS(X) X(BOX, "box") X(TENT, "tent") X(GAUSSIAN, "gaussian")                       \
+    X(MITCHELL, "mitchell") X(BLACKMAN_HARRIS, "blackman-harris")
+#define JOB_BUILDERS(X) X(SAH, "sah") X(MEDIAN, "median") X(NONE, "none")
+#define JOB_INTERSECTORS(X) X(WOOP, "woop") X(MOLLER_TRUMBORE, "moller-trumbore")
+#define JOB_PRECISIONS(X) X(EXACT, "exact") X(FAST, "fast")
+
+#define JOB_ENUM(suffix, name) JOB_CHOICE(suffix),
+#define JOB_CHOICE(suffix) JOB_INTEGRATOR_##suffix
+enum job_integrator { JOB_INTEGRATORS(JOB_ENUM) JOB_INTEGRATOR_COUNT };
+#undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_PROFILE_##suffix
+enum job_profile { JOB_PROFILES(JOB_ENUM) JOB_PROFILE_COUNT };
+#undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_SAMPLER_##suffix
+enum job_sampler { JOB_SAMPLERS(JOB_ENUM) JOB_SAMPLER_COUNT };
+#undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_FILTER_##suffix
+enum job_filter { JOB_FILTERS(JOB_ENUM) JOB_FILTER_COUNT };
+#undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_BUILDER_##suffix
+enum job_builder { JOB_BUILDERS(JOB_ENUM) JOB_BUILDER_COUNT };
+#undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_INTERSECTOR_##suffix
+enum job_intersector { JOB_INTERSECTORS(JOB_ENUM) JOB_INTERSECTOR_COUNT };
+#undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_PRECISION_##suffix
+enum job_precision { JOB_PRECISIONS(JOB_ENUM) JOB_PRECISION_COUNT };
+#undef JOB_CHOICE
+#undef JOB_ENUM
+
+extern const char *const job_integrator_names[JOB_INTEGRATOR_COUNT];
+extern const char *const job_profile_names[JOB_PROFILE_COUNT];
+extern const char *const job_sampler_names[JOB_SAMPLER_COUNT];
+extern const char *const job_filter_names[JOB_FILTER_COUNT];
+extern const char *const job_builder_names[JOB_BUILDER_COUNT];
+extern const char *const job_intersector_names[JOB_INTERSECTOR_COUNT];
+extern const char *const job_precision_names[JOB_PRECISION_COUNT];
+
+/* Index of `name` in a table of names, or -1. */
+int job_choice_find(const char *const *names, int count, const char *name);
+
+enum { JOB_SIDE_MAX = 65535, JOB_TILE_MAX = 65535, JOB_DEPTH_MAX = 1 << 20 };
+#define JOB_SPP_MAX (UINT64_C(1) << 40)
+
+struct job_crop {
+    uint32_t x, y, width, height; /* within the full picture, never empty */
+};
+
+struct job_spec {
+    uint32_t width, height;   /* of the full picture, 1..JOB_SIDE_MAX */
+    struct job_crop crop;     /* the whole picture when not cropped; what is rendered and stored */
+    uint64_t spp;             /* 1..JOB_SPP_MAX */
+    uint64_t seed;
+    uint32_t max_depth;       /* 1..JOB_DEPTH_MAX */
+    double rr_threshold;      /* 0: no roulette */
+    uint32_t tile;            /* side of a cell in pixels; changes no bit */
+    enum job_integrator integrator;
+    enum job_profile profile;
+    enum job_sampler sampler;
+    enum job_filter filter;
+    double filter_radius;     /* pixels, > 0 */
+    double filter_alpha;      /* Gaussian */
+    double filter_b, filter_c; /* Mitchell */
+    enum job_builder builder;
+    enum job_intersector intersector;
+    enum job_precision precision;
+};
+
+/* The format's defaults: 600x600, path, 32 spp, depth 12, rr 0.1, box 0.5, tile 16, sobol. */
+void job_spec_init(struct job_spec *s);
+
+/* True if every field is in range; with `problems` (may be NULL) says which are not. */
+TL_NODISCARD bool job_spec_valid(const struct job_spec *s, struct diag_list *problems);
+
+/* One line of JSON; you own it; NULL when out of memory. Seed as a string. */
+TL_NODISCARD char *job_spec_to_json(const struct job_spec *s);
+
+/* Reads what job_spec_to_json wrote, or a hostile text: unknown and duplicate keys, wrong types
+ * and ranges are problems and ERR_INPUT. Absent keys take the default. */
+TL_NODISCARD enum err job_spec_from_json(const char *text, size_t bytes, struct job_spec *out,
+                                         struct diag_list *problems);
+
+/* --- Sample blocks -------------------------------------------------------
+ *
+ * The samples of a pixel are (half, index) pairs: half 0 (A) holds ceil(spp/2) of
+ * them, half 1 (B) the rest. A half is one independently scrambled sequence. Block
+ * b belongs to half b & 1 and holds a contiguous range of that half's indices; the
+ * numbers depend on spp alone. spp >= 2 has at least two blocks. */
+struct job_blocks {
+    uint32_t count; /* 1 when spp == 1, else even, at most JOB_BLOCKS_MAX */
+    uint64_t spp;
+};
+enum { JOB_BLOCKS_MAX = 256, JOB_BLOCK_SAMPLES = 16 /* while spp <= 4,096 */ };
+
+struct job_block {
+    uint32_t half;          /* 0 or 1 */
+    uint64_t begin, count;  /* indices within the half */
+};
+
+struct job_blocks job_blocks_of(uint64_t spp);
+struct job_block job_block_at(const struct job_blocks *b, uint32_t block);
+
+/* The number by which a sample is reported: 2 * index + half, in [0, spp). */
+uint64_t job_sample_number(uint32_t half, uint64_t index);
+
+#endif
