@@ -1,0 +1,36 @@
+#!/bin/sh
+# run.sh: from a bare Debian 12 to a picture.
+#
+#   ./run.sh             install what is missing, build, render the two Cornell boxes of the
+#                        source report on a farm of local workers, into out/
+#   ./run.sh --setup     install and build only
+#   ./run.sh ARGS...     tilery render ARGS...
+set -eu
+top=$(cd "$(dirname "$0")" && pwd)
+. "$top/scripts/packages.sh"
+build=$top/build/release
+
+# shellcheck disable=SC2086 # lists of words
+install_packages $packages_build
+if [ ! -f "$build/build.ninja" ]; then
+    cmake -S "$top" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DTILERY_TESTS=OFF >&2
+fi
+cmake --build "$build" >&2
+
+case ${1-} in
+--setup)
+    echo "built: $build/bin/tilery" >&2
+    exit 0
+    ;;
+"")
+    mkdir -p "$top/out"
+    for name in cbox_no_light_refract glass_cbox; do
+        "$build/bin/tilery" render "$top/scenes/$name.json" -o "$top/out/$name.exr" \
+            --png "$top/out/$name.png" --report "$top/out/$name.report.json"
+    done
+    echo "pictures: $top/out/cbox_no_light_refract.png $top/out/glass_cbox.png" >&2
+    ;;
+*)
+    exec "$build/bin/tilery" render "$@"
+    ;;
+esac
