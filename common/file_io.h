@@ -1,0 +1,27 @@
+/* common/file_io.h: whole files in and out, nothing half-written.
+ *
+ * Blocking; not for a daemon's loop thread. Any thread.
+ */
+#ifndef COMMON_FILE_IO_H
+#define COMMON_FILE_IO_H
+
+#include "common/buf.h"
+
+/* The contents of a regular file, followed by a NUL that is not counted; you own *data
+ * (mem_free). ERR_NOT_FOUND, ERR_IO (a folder, unreadable), ERR_LIMIT (over bytes_max). */
+TL_NODISCARD enum err file_read(const char *path, uint64_t bytes_max, char **data, size_t *bytes);
+
+/* Writes beside `path`, syncs, and renames over it: afterwards the file is whole or as before.
+ * ERR_NOSPACE, ERR_NOT_FOUND (no such folder), ERR_IO. */
+TL_NODISCARD enum err file_write(const char *path, const void *data, size_t bytes);
+
+/* The folder part of a path ("" for none is "."), and a path relative to a folder (absolute ones
+ * stay). You own the result; NULL when out of memory. */
+TL_NODISCARD char *file_folder(const char *path);
+TL_NODISCARD char *file_join(const char *folder, const char *path);
+
+/* A file in the folder of `path` whose name is the same but for case, as the user would write it;
+ * you own it. NULL: none. */
+TL_NODISCARD char *file_other_case(const char *path);
+
+#endif

@@ -1,0 +1,50 @@
+/* common/obj_file.h: Wavefront OBJ, read in double, with everything the importer needs.
+ *
+ * v, vt, vn, f (negative indices, polygons), o, g, usemtl, mtllib, line continuation;
+ * points and lines are counted and left out; smoothing groups, curves and other keywords
+ * are skipped. Polygons are triangulated by ear clipping in the polygon's own plane.
+ * Problems carry file:line. Pure apart from memory; one thread.
+ */
+#ifndef COMMON_OBJ_FILE_H
+#define COMMON_OBJ_FILE_H
+
+#include "common/diag.h"
+
+#define OBJ_NONE UINT32_MAX
+
+struct obj_corner {
+    uint32_t position, uv, normal; /* uv and normal may be OBJ_NONE */
+};
+
+struct obj_triangle {
+    struct obj_corner corners[3];
+    uint32_t material; /* index into material_names, or OBJ_NONE before the first usemtl */
+    uint32_t group;    /* index into group_names, or OBJ_NONE */
+};
+
+struct obj_model {
+    double *positions; /* 3 each */
+    size_t position_count;
+    double *uvs; /* 2 each */
+    size_t uv_count;
+    double *normals; /* 3 each, as the file has them */
+    size_t normal_count;
+    struct obj_triangle *triangles;
+    size_t triangle_count;
+    char **material_names; /* in order of first use, distinct */
+    size_t material_count;
+    char **group_names; /* "o" and "g" names, in order of first use, distinct */
+    size_t group_count;
+    char **libraries; /* mtllib, as written */
+    size_t library_count;
+    size_t point_count, line_count; /* elements left out */
+};
+
+/* You release `out`. ERR_INPUT with problems (an index out of range, a coordinate that is not
+ * finite, a face of fewer than three corners ...), ERR_LIMIT, ERR_NOMEM. No face at all is not an
+ * error here. */
+TL_NODISCARD enum err obj_read(const char *text, size_t bytes, const char *file,
+                               struct obj_model *out, struct diag_list *problems);
+void obj_release(struct obj_model *m);
+
+#endif

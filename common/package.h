@@ -1,0 +1,94 @@
+/* common/package.h: a scene as content-addressed chunks, and back.
+ *
+ * A package is one root chunk (camera, textures, materials, objects, lights, and name,
+ * size and kind of every other chunk) and one chunk per mesh and per image. A chunk is
+ * named by the SHA-256 of its contents, so that what two scenes share is sent and kept
+ * once. Elsewhere (HTTP, stores, the worker wire) a chunk travels as one zstd frame;
+ * its name is always that of the plain bytes. All numbers little-endian.
+ *
+ *   root:  "TLYR" u32 version, u32 chunk_count, chunk_count x {digest, u64 bytes, u32 kind},
+ *          then the tables in the order of package_write.c; mesh i and image i are
+ *          references to chunks of the matching kind
+ *   mesh:  "TLYM" u32 version, counts, flags, positions, normals, uvs, indices
+ *   image: "TLYI" u32 version, width, height, channels, format, pixels
+ *
+ * The readers take hostile bytes: ERR_CORRUPT, ERR_LIMIT or ERR_VERSION, never a crash, and no
+ * allocation larger than the bytes given can fill. Pure apart from memory; one thread per
+ * object.
+ */
+#ifndef COMMON_PACKAGE_H
+#define COMMON_PACKAGE_H
+
+#include "common/buf.h"
+#include "common/digest.h"
+#include "common/scene.h"
+
+enum {
+    PACKAGE_VERSION = 1,
+    PACKAGE_CHUNKS_MAX = 1 << 21,
+    PACKAGE_ROOT_BYTES_MAX = 1 << 30,
+};
+/* Of one chunk, uncompressed: a mesh of SCENE_TRIANGLES_MAX fits nowhere anyway. */
+#define PACKAGE_CHUNK_BYTES_MAX (UINT64_C(16) << 30)
+
+enum package_kind { PACKAGE_ROOT, PACKAGE_MESH, PACKAGE_IMAGE };
+
+struct package_chunk {
+    digest name;
+    unsigned char *data; /* owned by the package */
+    size_t bytes;
+    enum package_kind kind;
+};
+
+/* chunks[0] is the root; the others are distinct. */
+struct package {
+    struct package_chunk *chunks;
+    size_t count;
+};
+
+/* `scene` satisfies scene_check. What nothing visible refers to (textures, images, materials,
+ * meshes) is left out. You release `out`. ERR_NOMEM. */
+TL_NODISCARD enum err package_write(const struct scene *scene, struct package *out);
+void package_release(struct package *p);
+
+/* What a root needs, in the order in which package_read asks for it. */
+struct package_index_entry {
+    digest name;
+    uint64_t bytes;
+    enum package_kind kind;
+};
+
+struct package_index {
+    struct package_index_entry *entries;
+    size_t count;
+    uint64_t bytes; /* of all of them */
+};
+
+/* Checks the whole root, not only its list. */
+TL_NODISCARD enum err package_root_read(const void *root, size_t bytes,
+                                        struct package_index *out);
+void package_index_release(struct package_index *index);
+
+/* Gives the plain bytes of entry `i` of the index, which stay valid until the next call or the
+ * end of package_read. Their digest has been checked by whoever stored or decompressed them. */
+typedef enum err package_fetch(void *ctx, size_t i, const struct package_index_entry *entry,
+                               const unsigned char **data, size_t *bytes);
+
+/* The scene of a root. `out` satisfies scene_check and is yours; untouched on failure. */
+TL_NODISCARD enum err package_read(const void *root, size_t bytes, package_fetch *fetch, void *ctx,
+                                   struct scene *out);
+
+/* One zstd frame of a chunk (level 1, with checksum and content size), appended to `out`. */
+TL_NODISCARD enum err chunk_compress(const void *data, size_t bytes, struct buf *out);
+
+/* Appends the plain bytes of one frame to `out`, which must come to exactly `bytes_expected`
+ * (or any size up to `bytes_max` with chunk_decompress_any) and hash to `name`. Memory grows with
+ * what really comes out, not with what the frame claims. ERR_CORRUPT, ERR_LIMIT, ERR_NOMEM; then
+ * `out` is as it was. */
+TL_NODISCARD enum err chunk_decompress(const void *frame, size_t frame_bytes, const digest *name,
+                                       uint64_t bytes_expected, struct buf *out);
+TL_NODISCARD enum err chunk_decompress_any(const void *frame, size_t frame_bytes,
+                                           const digest *name, uint64_t bytes_max,
+                                           struct buf *out);
+
+#endif
