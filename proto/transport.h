@@ -48,7 +48,7 @@ size_t blob_bytes(const struct blob *b);
 
 struct transport; /* opaque */
 
-/* Borrows the loop. ERR_NOMEM, ERR_IO. */
+/* Borrows the loop. Ignores SIGPIPE in this process. ERR_NOMEM, ERR_IO. */
 TL_NODISCARD enum err transport_new(struct uv_loop_s *loop, struct transport **out);
 
 /* Closes every connection and listener. on_close of each and then `done` (may be NULL) are called
@@ -103,14 +103,14 @@ bool conn_accepted(const struct conn *c);
 
 /* Queues one frame; takes a reference of `body` (may be NULL) of its own. ERR_AGAIN: the queue is
  * full and nothing was queued: wait for on_writable, or close. ERR_LIMIT: message or body over its
- * limits; ERR_NOMEM; ERR_CLOSED. */
+ * limits; ERR_STATE: not open yet; ERR_NOMEM; ERR_CLOSED. */
 TL_NODISCARD enum err conn_send(struct conn *c, const struct message *m, struct blob *body);
 
 /* Closes now; what is queued is dropped. `why` is handed to on_close. */
 void conn_close(struct conn *c, enum err why);
 
-/* Sends what is queued, says end of file, discards what still comes in, and closes once the peer has
- * closed or after two seconds: so that a Refuse or a Goodbye is read. No message is delivered from
+/* Sends what is queued, says end of file, discards what still comes in, and closes once the peer
+ * has closed or after two seconds: so that a Refuse or a Goodbye is read. No message is delivered from
  * now on. */
 void conn_finish(struct conn *c, enum err why);
 
@@ -141,8 +141,8 @@ void conn_counts_get(const struct conn *c, struct conn_counts *out);
 struct listener; /* opaque; closed by listener_close or transport_close */
 
 /* Binds "ADDR:PORT" (0: any port) and accepts connections with these options, at most conn_max at a
- * time (others are closed at once; 0: no limit). Out of file descriptors, it pauses for 100 ms
- * instead of spinning. ERR_USAGE: not an address; ERR_ADDRESS: cannot be bound; ERR_NOMEM. */
+ * time (others are closed at once; 0: no limit). Out of file descriptors, it hangs up on newcomers.
+ * ERR_USAGE: not an address; ERR_ADDRESS: cannot be bound; ERR_NOMEM. */
 TL_NODISCARD enum err listener_new(struct transport *t, const char *addr_port, uint32_t conn_max,
                                    const struct conn_options *options, struct listener **out);
 void listener_close(struct listener *l);
