@@ -3,7 +3,7 @@
  * Refused with line and column: anything after the value, depth over JSON_DEPTH_MAX,
  * invalid UTF-8, control characters in strings, lone surrogates, `01`, `+1`, `1.`, NaN,
  * comments, a byte order mark. Every value keeps its place, so that problems carry JSON
- * paths. Numbers keep their text: counts stay exact over 2^53, and `1e999` is known.
+ * paths. Whole numbers stay exact over 2^53, and `1e999` is told from a number.
  *
  * (cJSON, the first choice, cuts numbers at 63 characters, texts at \u0000, and takes
  * 01, 1e999, bad UTF-8 and trailing bytes; a strict check in front of it would be this
@@ -18,7 +18,8 @@
 
 enum {
     JSON_DEPTH_MAX = 64,
-    JSON_BYTES_MAX = 256 << 20, /* a scene of a million objects is 200 MB */
+    JSON_BYTES_MAX = 64 << 20,  /* a scene of 200,000 objects is 40 MB */
+    JSON_VALUES_MAX = 8 << 20,  /* bounds the memory of hostile text at 1 GB */
 };
 
 enum json_type { JSON_NULL, JSON_BOOL, JSON_NUMBER, JSON_STRING, JSON_ARRAY, JSON_OBJECT };
@@ -28,11 +29,12 @@ struct json {
     enum json_type type;
     bool truth;               /* JSON_BOOL */
     bool has_nul;             /* JSON_STRING: contains U+0000, so `text` is cut there */
+    bool is_whole;            /* JSON_NUMBER: written as digits alone and within `whole` */
     uint32_t line;            /* 1-based line of its first character */
     const char *key;          /* member of an object: its name; else NULL */
-    const char *text;         /* JSON_STRING: UTF-8; JSON_NUMBER: as written */
-    size_t text_bytes;
+    const char *text;         /* JSON_STRING: UTF-8 */
     double number;            /* JSON_NUMBER: nearest double, may be infinite */
+    uint64_t whole;           /* JSON_NUMBER with is_whole: exactly */
     uint32_t index;           /* position in its array or object */
     uint32_t count;           /* members or elements */
     const struct json *parent, *next, *first; /* next: following sibling */
@@ -41,6 +43,7 @@ struct json {
 struct json_doc {
     struct json *root;
     struct json_chunk *chunks; /* memory, owned */
+    size_t value_count;
 };
 
 /* Syntax only: duplicate keys pass. `file` (may be NULL) names the text in problems.
@@ -49,7 +52,7 @@ TL_NODISCARD enum err json_doc_parse(struct json_doc *doc, const char *text, siz
                                      const char *file, struct diag_list *problems);
 void json_doc_release(struct json_doc *doc);
 
-/* "$.objects[2].material_name"; cut with "..." in the middle when over the size. */
+/* "$.objects[2].material_name"; ends in "..." when over the size. */
 enum { JSON_PATH_BYTES = 512 };
 void json_path(const struct json *v, char out[JSON_PATH_BYTES]);
 

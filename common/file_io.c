@@ -1,0 +1,169 @@
+#include "common/file_io.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/mem.h"
+
+/* --- Reading ------------------------------------------------------------- */
+
+static enum err read_all(int fd, char *data, size_t bytes)
+{
+    for (size_t done = 0; done < bytes;) {
+        ssize_t got = read(fd, data + done, bytes - done);
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got <= 0) /* 0: the file shrank while it was read */
+            return ERR_IO;
+        done += (size_t)got;
+    }
+    return ERR_OK;
+}
+
+static enum err read_open(int fd, uint64_t bytes_max, char **data, size_t *bytes)
+{
+    struct stat st;
+    if (fstat(fd, &st) != 0 || !S_ISREG(st.st_mode))
+        return ERR_IO;
+    if ((uint64_t)st.st_size > bytes_max)
+        return ERR_LIMIT;
+    size_t size = (size_t)st.st_size;
+    char *all = mem_alloc(size + 1);
+    if (!all)
+        return ERR_NOMEM;
+    enum err e = read_all(fd, all, size);
+    if (e != ERR_OK) {
+        mem_free(all);
+        return e;
+    }
+    all[size] = '\0';
+    *data = all;
+    *bytes = size;
+    return ERR_OK;
+}
+
+enum err file_read(const char *path, uint64_t bytes_max, char **data, size_t *bytes)
+{
+    /* O_NONBLOCK: opening a FIFO must not wait; it is refused as no regular file. */
+    int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+    if (fd < 0)
+        return errno == ENOENT || errno == ENOTDIR ? ERR_NOT_FOUND : ERR_IO;
+    enum err e = read_open(fd, bytes_max, data, bytes);
+    (void)close(fd);
+    return e;
+}
+
+/* --- Writing ------------------------------------------------------------- */
+
+static enum err write_all(int fd, const char *data, size_t bytes)
+{
+    for (size_t done = 0; done < bytes;) {
+        ssize_t wrote = write(fd, data + done, bytes - done);
+        if (wrote < 0 && errno == EINTR)
+            continue;
+        if (wrote < 0)
+            return err_from_errno(errno);
+        done += (size_t)wrote;
+    }
+    return ERR_OK;
+}
+
+/* The rename is durable once the folder is synced; where that cannot be done, the file is still
+ * whole. */
+static void sync_folder(const char *path)
+{
+    char *folder = file_folder(path);
+    int fd = folder ? open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC) : -1;
+    mem_free(folder);
+    if (fd < 0)
+        return;
+    (void)fsync(fd);
+    (void)close(fd);
+}
+
+/* /dev/stdout, pipes and the like are written to as they are. */
+static enum err write_special(const char *path, const void *data, size_t bytes)
+{
+    int fd = open(path, O_WRONLY | O_CLOEXEC);
+    if (fd < 0)
+        return err_from_errno(errno);
+    enum err e = write_all(fd, data, bytes);
+    (void)close(fd);
+    return e;
+}
+
+static enum err write_aside(char *aside, const char *path, const void *data, size_t bytes)
+{
+    int fd = mkostemp(aside, O_CLOEXEC);
+    if (fd < 0)
+        return err_from_errno(errno);
+    mode_t mask = umask(0);
+    (void)umask(mask);
+    enum err e = write_all(fd, data, bytes);
+    if (e == ERR_OK && fsync(fd) != 0)
+        e = err_from_errno(errno);
+    if (e == ERR_OK && fchmod(fd, 0666 & ~mask) != 0)
+        e = err_from_errno(errno);
+    if (close(fd) != 0 && e == ERR_OK)
+        e = err_from_errno(errno);
+    if (e == ERR_OK && rename(aside, path) != 0)
+        e = err_from_errno(errno);
+    if (e != ERR_OK)
+        (void)unlink(aside);
+    return e;
+}
+
+enum err file_write(const char *path, const void *data, size_t bytes)
+{
+    struct stat st;
+    if (stat(path, &st) == 0 && !S_ISREG(st.st_mode))
+        return S_ISDIR(st.st_mode) ? ERR_IO : write_special(path, data, bytes);
+    char *aside = mem_sprintf("%s.XXXXXX", path);
+    if (!aside)
+        return ERR_NOMEM;
+    enum err e = write_aside(aside, path, data, bytes);
+    mem_free(aside);
+    if (e == ERR_OK)
+        sync_folder(path);
+    return e;
+}
+
+/* --- Names --------------------------------------------------------------- */
+
+char *file_folder(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    if (!slash)
+        return mem_strdup(".");
+    return slash == path ? mem_strdup("/") : mem_strndup(path, (size_t)(slash - path));
+}
+
+char *file_join(const char *folder, const char *path)
+{
+    if (path[0] == '/' || strcmp(folder, ".") == 0)
+        return mem_strdup(path);
+    size_t bytes = strlen(folder);
+    return mem_sprintf("%s%s%s", folder, bytes && folder[bytes - 1] == '/' ? "" : "/", path);
+}
+
+char *file_other_case(const char *path)
+{
+    const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path;
+    char *folder = file_folder(path), *found = NULL;
+    DIR *dir = folder ? opendir(folder) : NULL;
+    mem_free(folder);
+    if (!dir)
+        return NULL;
+    for (struct dirent *entry = readdir(dir); entry && !found; entry = readdir(dir))
+        if (strcasecmp(entry->d_name, name) == 0 && strcmp(entry->d_name, name) != 0)
+            found = mem_sprintf("%.*s%s", (int)(name - path), path, entry->d_name);
+    (void)closedir(dir);
+    return found;
+}

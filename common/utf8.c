@@ -1,0 +1,43 @@
+#include "common/utf8.h"
+
+static int is_tail(unsigned char c)
+{
+    return (c & 0xC0) == 0x80;
+}
+
+size_t utf8_length(const char *at, const char *end)
+{
+    const unsigned char *p = (const unsigned char *)at;
+    size_t left = (size_t)(end - at);
+    if (left >= 1 && p[0] < 0x80)
+        return 1;
+    if (left >= 2 && p[0] >= 0xC2 && p[0] <= 0xDF)
+        return is_tail(p[1]) ? 2 : 0;
+    if (left >= 3 && (p[0] & 0xF0) == 0xE0) {
+        int overlong = p[0] == 0xE0 && p[1] < 0xA0;
+        int surrogate = p[0] == 0xED && p[1] > 0x9F;
+        return is_tail(p[1]) && is_tail(p[2]) && !overlong && !surrogate ? 3 : 0;
+    }
+    if (left >= 4 && p[0] >= 0xF0 && p[0] <= 0xF4) {
+        int overlong = p[0] == 0xF0 && p[1] < 0x90;
+        int beyond = p[0] == 0xF4 && p[1] > 0x8F;
+        return is_tail(p[1]) && is_tail(p[2]) && is_tail(p[3]) && !overlong && !beyond ? 4 : 0;
+    }
+    return 0;
+}
+
+size_t utf8_encode(uint32_t code, char out[4])
+{
+    if (code < 0x80) {
+        out[0] = (char)code;
+        return 1;
+    }
+    size_t bytes = code < 0x800 ? 2 : code < 0x10000 ? 3 : 4;
+    static const unsigned char marks[5] = {0, 0, 0xC0, 0xE0, 0xF0};
+    for (size_t i = bytes - 1; i > 0; i--) {
+        out[i] = (char)(0x80 | (code & 0x3F));
+        code >>= 6;
+    }
+    out[0] = (char)(marks[bytes] | code);
+    return bytes;
+}
