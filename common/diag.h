@@ -23,11 +23,11 @@ enum diag_severity { DIAG_WARNING, DIAG_ERROR };
 
 struct diag {
     enum diag_severity severity;
-    char *file;   /* as the user named it; may be NULL */
-    uint64_t line; /* 1-based; 0: none */
-    char *path;   /* JSON path ("$.film.resolution"); may be NULL */
-    char *text;   /* what is wrong and what was expected */
-    char *hint;   /* what to do; may be NULL */
+    char *file;     /* as the user named it; may be NULL */
+    uint64_t line;  /* 1-based; 0: none */
+    char *path;     /* JSON path ("$.film.resolution"); may be NULL */
+    char *text;     /* what is wrong and what was expected */
+    char *hint;     /* what to do; may be NULL */
     const char *id; /* static, kebab-case */
 };
 

@@ -54,8 +54,8 @@ int err_exit_status(enum err e);
  * ECONNREFUSED UNREACHABLE, and so on; else IO. */
 enum err err_from_errno(int errnum);
 
-#define TL_NODISCARD __attribute__((warn_unused_result))
-#define TL_NORETURN  __attribute__((noreturn))
+#define TL_NODISCARD    __attribute__((warn_unused_result))
+#define TL_NORETURN     __attribute__((noreturn))
 #define TL_PRINTF(f, a) __attribute__((format(printf, f, a)))
 
 /* Returns the error of `expr` to the caller; in debug builds logs where it passed. */

@@ -34,11 +34,11 @@ struct exr_attribute {
 };
 
 struct exr_picture {
-    uint32_t width, height;                  /* display window, from (0, 0) */
-    uint32_t x, y, data_width, data_height;  /* data window: the crop, within the display window */
-    const struct exr_channel *channels;      /* any order; names distinct */
+    uint32_t width, height;                 /* display window, from (0, 0) */
+    uint32_t x, y, data_width, data_height; /* data window: the crop, within the display window */
+    const struct exr_channel *channels;     /* any order; names distinct */
     size_t channel_count;
-    const struct exr_attribute *attributes;  /* names distinct, none a standard one */
+    const struct exr_attribute *attributes; /* names distinct, none a standard one */
     size_t attribute_count;
 };
 
@@ -47,8 +47,8 @@ TL_NODISCARD enum err exr_write(const struct exr_picture *picture, struct buf *o
 
 /* A picture read back: `planes[c]` has data_width * data_height floats. */
 struct exr_image {
-    uint32_t width, height;  /* display window */
-    int32_t x, y;            /* data window's corner, relative to the display window */
+    uint32_t width, height; /* display window */
+    int32_t x, y;           /* data window's corner, relative to the display window */
     uint32_t data_width, data_height;
     size_t channel_count;
     char (*names)[EXR_NAME_BYTES_MAX + 1];

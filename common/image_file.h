@@ -21,7 +21,7 @@ enum image_use { IMAGE_COLOR, IMAGE_DATA };
 TL_NODISCARD enum err image_read(const void *data, size_t bytes, const char *file,
                                  enum image_use use, struct scene_image *out,
                                  struct diag_list *problems);
-TL_NODISCARD enum err image_read_file(const char *path, enum image_use use,
-                                      struct scene_image *out, struct diag_list *problems);
+TL_NODISCARD enum err image_read_file(const char *path, enum image_use use, struct scene_image *out,
+                                      struct diag_list *problems);
 
 #endif

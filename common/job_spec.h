@@ -12,18 +12,20 @@
 #include "common/err.h"
 
 /* X(enum suffix, name in options and JSON) */
-#define JOB_INTEGRATORS(X) X(INTERSECTION_TEST, "intersection_test") X(PATH, "path")               \
-    X(DIRECT, "direct") X(AO, "ao")
+#define JOB_INTEGRATORS(X)                                                                         \
+    X(INTERSECTION_TEST, "intersection_test") X(PATH, "path") X(DIRECT, "direct") X(AO, "ao")
 #define JOB_PROFILES(X) X(MIS, "MIS") X(NEE, "NEE") X(RW, "RW")
 #define JOB_SAMPLERS(X) X(SOBOL, "sobol") X(HALTON, "halton") X(INDEPENDENT, "independent")
-#define JOB_FILTERS(X) X(BOX, "box") X(TENT, "tent") X(GAUSSIAN, "gaussian")                       \
-    X(MITCHELL, "mitchell") X(BLACKMAN_HARRIS, "blackman-harris")
-#define JOB_BUILDERS(X) X(SAH, "sah") X(MEDIAN, "median") X(NONE, "none")
+#define JOB_FILTERS(X)                                                                             \
+    X(BOX, "box")                                                                                  \
+    X(TENT, "tent") X(GAUSSIAN, "gaussian") X(MITCHELL, "mitchell")                                \
+        X(BLACKMAN_HARRIS, "blackman-harris")
+#define JOB_BUILDERS(X)     X(SAH, "sah") X(MEDIAN, "median") X(NONE, "none")
 #define JOB_INTERSECTORS(X) X(WOOP, "woop") X(MOLLER_TRUMBORE, "moller-trumbore")
-#define JOB_PRECISIONS(X) X(EXACT, "exact") X(FAST, "fast")
+#define JOB_PRECISIONS(X)   X(EXACT, "exact") X(FAST, "fast")
 
 #define JOB_ENUM(suffix, name) JOB_CHOICE(suffix),
-#define JOB_CHOICE(suffix) JOB_INTEGRATOR_##suffix
+#define JOB_CHOICE(suffix)     JOB_INTEGRATOR_##suffix
 enum job_integrator { JOB_INTEGRATORS(JOB_ENUM) JOB_INTEGRATOR_COUNT };
 #undef JOB_CHOICE
 #define JOB_CHOICE(suffix) JOB_PROFILE_##suffix
@@ -65,19 +67,19 @@ struct job_crop {
 };
 
 struct job_spec {
-    uint32_t width, height;   /* of the full picture, 1..JOB_SIDE_MAX */
-    struct job_crop crop;     /* the whole picture when not cropped; what is rendered and stored */
-    uint64_t spp;             /* 1..JOB_SPP_MAX */
+    uint32_t width, height; /* of the full picture, 1..JOB_SIDE_MAX */
+    struct job_crop crop;   /* the whole picture when not cropped; what is rendered and stored */
+    uint64_t spp;           /* 1..JOB_SPP_MAX */
     uint64_t seed;
-    uint32_t max_depth;       /* 1..JOB_DEPTH_MAX */
-    double rr_threshold;      /* 0: no roulette */
-    uint32_t tile;            /* side of a cell in pixels; changes no bit */
+    uint32_t max_depth;  /* 1..JOB_DEPTH_MAX */
+    double rr_threshold; /* 0: no roulette */
+    uint32_t tile;       /* side of a cell in pixels; changes no bit */
     enum job_integrator integrator;
     enum job_profile profile;
     enum job_sampler sampler;
     enum job_filter filter;
-    double filter_radius;     /* pixels, > 0 */
-    double filter_alpha;      /* Gaussian */
+    double filter_radius;      /* pixels, > 0 */
+    double filter_alpha;       /* Gaussian */
     double filter_b, filter_c; /* Mitchell */
     enum job_builder builder;
     enum job_intersector intersector;
@@ -111,8 +113,8 @@ struct job_blocks {
 enum { JOB_BLOCKS_MAX = 256, JOB_BLOCK_SAMPLES = 16 /* while spp <= 4,096 */ };
 
 struct job_block {
-    uint32_t half;          /* 0 or 1 */
-    uint64_t begin, count;  /* indices within the half */
+    uint32_t half;         /* 0 or 1 */
+    uint64_t begin, count; /* indices within the half */
 };
 
 struct job_blocks job_blocks_of(uint64_t spp);

@@ -32,8 +32,7 @@ void json_get_close(struct json_get *g);
 
 /* Adds a problem at a value. */
 void json_get_problem(struct json_get *g, enum diag_severity severity, const struct json *at,
-                      const char *id, const char *hint, const char *format, ...)
-    TL_PRINTF(6, 7);
+                      const char *id, const char *hint, const char *format, ...) TL_PRINTF(6, 7);
 
 /* A member by name, or NULL. No problem is added. */
 const struct json *json_get_member(const struct json *object, const char *key);
@@ -57,8 +56,7 @@ bool json_value_uint(struct json_get *g, const struct json *v, uint64_t low, uin
                      uint64_t *out);
 bool json_value_bool(struct json_get *g, const struct json *v, bool *out);
 /* The text lives as long as the document; never empty unless `may_be_empty`; no U+0000. */
-bool json_value_text(struct json_get *g, const struct json *v, bool may_be_empty,
-                     const char **out);
+bool json_value_text(struct json_get *g, const struct json *v, bool may_be_empty, const char **out);
 /* An array of exactly `count` finite numbers in [low, high]. */
 bool json_value_numbers(struct json_get *g, const struct json *v, size_t count, double low,
                         double high, double *out);
@@ -77,15 +75,12 @@ bool json_get_u32(struct json_get *g, const struct json *object, const char *key
 bool json_get_bool(struct json_get *g, const struct json *object, const char *key, bool *out);
 bool json_get_text(struct json_get *g, const struct json *object, const char *key,
                    const char **out);
-bool json_get_numbers(struct json_get *g, const struct json *object, const char *key,
-                      size_t count, double low, double high, double *out);
+bool json_get_numbers(struct json_get *g, const struct json *object, const char *key, size_t count,
+                      double low, double high, double *out);
 bool json_get_choice(struct json_get *g, const struct json *object, const char *key,
                      const char *const *names, int name_count, int *out);
 /* A 64-bit number in a string of decimal digits, or a JSON integer. */
 bool json_get_u64_text(struct json_get *g, const struct json *object, const char *key,
                        uint64_t *out);
-
-/* The largest magnitude a coordinate or colour may have: squares stay finite. */
-#define JSON_NUMBER_MAX 1e150
 
 #endif

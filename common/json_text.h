@@ -18,8 +18,8 @@
 
 enum {
     JSON_DEPTH_MAX = 64,
-    JSON_BYTES_MAX = 64 << 20,  /* a scene of 200,000 objects is 40 MB */
-    JSON_VALUES_MAX = 8 << 20,  /* bounds the memory of hostile text at 1 GB */
+    JSON_BYTES_MAX = 64 << 20, /* a scene of 200,000 objects is 40 MB */
+    JSON_VALUES_MAX = 8 << 20, /* bounds the memory of hostile text at 1 GB */
 };
 
 enum json_type { JSON_NULL, JSON_BOOL, JSON_NUMBER, JSON_STRING, JSON_ARRAY, JSON_OBJECT };
@@ -27,16 +27,16 @@ enum json_type { JSON_NULL, JSON_BOOL, JSON_NUMBER, JSON_STRING, JSON_ARRAY, JSO
 /* A value; all fields are read-only. */
 struct json {
     enum json_type type;
-    bool truth;               /* JSON_BOOL */
-    bool has_nul;             /* JSON_STRING: contains U+0000, so `text` is cut there */
-    bool is_whole;            /* JSON_NUMBER: written as digits alone and within `whole` */
-    uint32_t line;            /* 1-based line of its first character */
-    const char *key;          /* member of an object: its name; else NULL */
-    const char *text;         /* JSON_STRING: UTF-8 */
-    double number;            /* JSON_NUMBER: nearest double, may be infinite */
-    uint64_t whole;           /* JSON_NUMBER with is_whole: exactly */
-    uint32_t index;           /* position in its array or object */
-    uint32_t count;           /* members or elements */
+    bool truth;       /* JSON_BOOL */
+    bool has_nul;     /* JSON_STRING: contains U+0000, so `text` is cut there */
+    bool is_whole;    /* JSON_NUMBER: written as digits alone and within `whole` */
+    uint32_t line;    /* 1-based line of its first character */
+    const char *key;  /* member of an object: its name; else NULL */
+    const char *text; /* JSON_STRING: UTF-8 */
+    double number;    /* JSON_NUMBER: nearest double, may be infinite */
+    uint64_t whole;   /* JSON_NUMBER with is_whole: exactly */
+    uint32_t index;   /* position in its array or object */
+    uint32_t count;   /* members or elements */
     const struct json *parent, *next, *first; /* next: following sibling */
 };
 

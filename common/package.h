@@ -6,9 +6,8 @@
  * once. Elsewhere (HTTP, stores, the worker wire) a chunk travels as one zstd frame;
  * its name is always that of the plain bytes. All numbers little-endian.
  *
- *   root:  "TLYR" u32 version, u32 chunk_count, chunk_count x {digest, u64 bytes, u32 kind},
- *          then the tables in the order of package_write.c; mesh i and image i are
- *          references to chunks of the matching kind
+ *   root:  "TLYR" u32 version, counts of meshes and images, one {digest, u64 bytes} for each
+ *          mesh and then each image, then the tables in the order of package_tables.c
  *   mesh:  "TLYM" u32 version, counts, flags, positions, normals, uvs, indices
  *   image: "TLYI" u32 version, width, height, channels, format, pixels
  *
@@ -65,8 +64,7 @@ struct package_index {
 };
 
 /* Checks the whole root, not only its list. */
-TL_NODISCARD enum err package_root_read(const void *root, size_t bytes,
-                                        struct package_index *out);
+TL_NODISCARD enum err package_root_read(const void *root, size_t bytes, struct package_index *out);
 void package_index_release(struct package_index *index);
 
 /* Gives the plain bytes of entry `i` of the index, which stay valid until the next call or the
@@ -88,7 +86,6 @@ TL_NODISCARD enum err chunk_compress(const void *data, size_t bytes, struct buf 
 TL_NODISCARD enum err chunk_decompress(const void *frame, size_t frame_bytes, const digest *name,
                                        uint64_t bytes_expected, struct buf *out);
 TL_NODISCARD enum err chunk_decompress_any(const void *frame, size_t frame_bytes,
-                                           const digest *name, uint64_t bytes_max,
-                                           struct buf *out);
+                                           const digest *name, uint64_t bytes_max, struct buf *out);
 
 #endif

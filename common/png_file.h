@@ -16,11 +16,10 @@ TL_NODISCARD enum err png_write_rgb(const float *rgb, uint32_t width, uint32_t h
                                     double exposure, struct buf *out);
 
 /* 8-bit samples as they are, 1 (grey) or 3 channels. */
-TL_NODISCARD enum err png_write_bytes(const unsigned char *samples, uint32_t width,
-                                      uint32_t height, uint32_t channel_count, struct buf *out);
+TL_NODISCARD enum err png_write_bytes(const unsigned char *samples, uint32_t width, uint32_t height,
+                                      uint32_t channel_count, struct buf *out);
 
-TL_NODISCARD enum err png_read(const void *data, size_t bytes, const char *file,
-                               enum image_use use, struct scene_image *out,
-                               struct diag_list *problems);
+TL_NODISCARD enum err png_read(const void *data, size_t bytes, const char *file, enum image_use use,
+                               struct scene_image *out, struct diag_list *problems);
 
 #endif

@@ -110,82 +110,180 @@ void scene_release(struct scene *s)
 
 /* --- Invariants ---------------------------------------------------------- */
 
-static void check_finite(const double *v, size_t count)
+static bool all_finite(const double *v, size_t count)
 {
     for (size_t i = 0; i < count; i++)
-        TL_ASSERT(isfinite(v[i]));
+        if (!(fabs(v[i]) <= SCENE_NUMBER_MAX))
+            return false;
+    return true;
 }
 
-static void check_index(uint32_t index, size_t count)
+static bool all_finite_f32(const float *v, size_t count)
 {
-    TL_ASSERT(index == SCENE_NONE || index < count);
+    for (size_t i = 0; v && i < count; i++)
+        if (!isfinite(v[i]))
+            return false;
+    return true;
 }
 
-static void check_image(const struct scene_image *image)
+static bool none_negative(const double *v, size_t count)
 {
-    TL_ASSERT(image->pixels);
-    TL_ASSERT(image->width >= 1 && image->width <= SCENE_IMAGE_SIDE_MAX);
-    TL_ASSERT(image->height >= 1 && image->height <= SCENE_IMAGE_SIDE_MAX);
-    TL_ASSERT(image->channel_count == 1 || image->channel_count == 3 || image->channel_count == 4);
+    for (size_t i = 0; i < count; i++)
+        if (!(v[i] >= 0 && v[i] <= SCENE_NUMBER_MAX))
+            return false;
+    return true;
 }
 
-static void check_material(const struct scene *s, const struct scene_material *m)
+static bool in_unit(double v)
 {
-    check_index(m->texture, s->texture_count);
-    check_index(m->metallic_roughness_texture, s->texture_count);
-    check_index(m->emission_texture, s->texture_count);
-    check_index(m->normal_texture, s->texture_count);
-    check_index(m->transmission_texture, s->texture_count);
-    TL_ASSERT(isfinite(m->alpha_x) && m->alpha_x > 0 && isfinite(m->alpha_y) && m->alpha_y > 0);
-    TL_ASSERT(isfinite(m->eta) && m->eta > 0);
+    return v >= 0 && v <= 1;
 }
 
-static void check_mesh(const struct scene_mesh *m)
+static bool positive(double v)
 {
-    TL_ASSERT(m->triangle_count >= 1 && m->triangle_count <= SCENE_TRIANGLES_MAX);
-    check_finite(m->positions, (size_t)m->vertex_count * 3);
+    return v > 0 && v <= SCENE_NUMBER_MAX;
+}
+
+static bool index_valid(uint32_t index, size_t count)
+{
+    return index == SCENE_NONE || index < count;
+}
+
+bool scene_transform_valid(const double m[16])
+{
+    if (!all_finite(m, 16) || m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1)
+        return false;
+    /* Rows scaled to length 1 first: the determinant is then free of over- and underflow. */
+    double r[3][3];
+    for (int i = 0; i < 3; i++) {
+        const double *row = m + (size_t)4 * (size_t)i;
+        double largest = fmax(fabs(row[0]), fmax(fabs(row[1]), fabs(row[2])));
+        if (largest == 0)
+            return false;
+        double x = row[0] / largest, y = row[1] / largest, z = row[2] / largest;
+        double length = sqrt(x * x + y * y + z * z);
+        r[i][0] = x / length;
+        r[i][1] = y / length;
+        r[i][2] = z / length;
+    }
+    double det = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1]) -
+                 r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0]) +
+                 r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
+    return fabs(det) > 1e-13;
+}
+
+static bool image_valid(const struct scene_image *image)
+{
+    if (!image->pixels || image->width < 1 || image->width > SCENE_IMAGE_SIDE_MAX ||
+        image->height < 1 || image->height > SCENE_IMAGE_SIDE_MAX)
+        return false;
+    if (image->channel_count != 1 && image->channel_count != 3 && image->channel_count != 4)
+        return false;
+    size_t samples = (size_t)image->width * image->height * image->channel_count;
+    return image->format != SCENE_IMAGE_F32 || all_finite_f32(image->pixels, samples);
+}
+
+static bool texture_valid(const struct scene *s, const struct scene_texture *t)
+{
+    return t->name && (unsigned)t->type <= SCENE_TEXTURE_IMAGE &&
+           (t->type == SCENE_TEXTURE_IMAGE ? t->image < s->image_count : t->image == SCENE_NONE) &&
+           (unsigned)t->wrap[0] <= SCENE_WRAP_MIRROR && (unsigned)t->wrap[1] <= SCENE_WRAP_MIRROR &&
+           none_negative(t->color[0], 3) && none_negative(t->color[1], 3) &&
+           all_finite(t->uv_matrix, 6);
+}
+
+static bool material_valid(const struct scene *s, const struct scene_material *m)
+{
+    bool textures = index_valid(m->texture, s->texture_count) &&
+                    index_valid(m->metallic_roughness_texture, s->texture_count) &&
+                    index_valid(m->emission_texture, s->texture_count) &&
+                    index_valid(m->normal_texture, s->texture_count) &&
+                    index_valid(m->transmission_texture, s->texture_count);
+    bool colors = none_negative(m->color, 3) && none_negative(m->R, 3) && none_negative(m->T, 3) &&
+                  none_negative(m->etaI, 3) && none_negative(m->etaT, 3) &&
+                  none_negative(m->k, 3) && none_negative(m->emission, 3) &&
+                  none_negative(m->sheen_color, 3) && none_negative(m->specular_color, 3);
+    bool unit = in_unit(m->metallic) && in_unit(m->roughness) && in_unit(m->transmission) &&
+                in_unit(m->clearcoat) && in_unit(m->clearcoat_roughness) &&
+                in_unit(m->sheen_roughness) && in_unit(m->alpha);
+    return m->name && (unsigned)m->type <= SCENE_MATERIAL_BLACK &&
+           (unsigned)m->distribution <= SCENE_GGX && textures && colors && unit &&
+           positive(m->alpha_x) && positive(m->alpha_y) && positive(m->eta) &&
+           none_negative(&m->specular, 1) && all_finite(&m->normal_scale, 1) &&
+           all_finite(&m->alpha_cutoff, 1);
+}
+
+static bool mesh_valid(const struct scene_mesh *m)
+{
+    if (!m->name || m->triangle_count < 1 || m->triangle_count > SCENE_TRIANGLES_MAX)
+        return false;
     for (size_t i = 0; i < (size_t)m->triangle_count * 3; i++)
-        TL_ASSERT(m->indices[i] < m->vertex_count);
+        if (m->indices[i] >= m->vertex_count)
+            return false;
+    return all_finite(m->positions, (size_t)m->vertex_count * 3) &&
+           all_finite_f32(m->normals, (size_t)m->vertex_count * 3) &&
+           all_finite_f32(m->uvs, (size_t)m->vertex_count * 2);
 }
 
-static void check_object(const struct scene *s, const struct scene_object *o)
+static bool object_valid(const struct scene *s, const struct scene_object *o)
 {
-    TL_ASSERT(o->type == SCENE_OBJECT_SPHERE || o->mesh < s->mesh_count);
-    TL_ASSERT(o->type == SCENE_OBJECT_MESH || (isfinite(o->radius) && o->radius > 0));
-    check_index(o->material, s->material_count);
-    check_finite(o->transform, 16);
-    check_finite(o->center, 3);
-    check_finite(o->radiance, 3);
+    bool shape = o->type == SCENE_OBJECT_MESH ? o->mesh < s->mesh_count
+                                              : o->type == SCENE_OBJECT_SPHERE &&
+                                                    o->mesh == SCENE_NONE && positive(o->radius);
+    return shape && index_valid(o->material, s->material_count) && all_finite(o->center, 3) &&
+           scene_transform_valid(o->transform) && none_negative(o->radiance, 3);
+}
+
+static bool light_valid(const struct scene_light *l)
+{
+    return (unsigned)l->type <= SCENE_LIGHT_DIRECTIONAL && all_finite(l->position, 3) &&
+           all_finite(l->direction, 3) && none_negative(l->intensity, 3) &&
+           fabs(l->cos_inner) <= 1 && fabs(l->cos_outer) <= 1;
+}
+
+static bool camera_valid(const struct scene_camera *c)
+{
+    return (unsigned)c->type <= SCENE_CAMERA_PANORAMA && all_finite(c->position, 3) &&
+           all_finite(c->look_at, 3) && all_finite(c->ref_up, 3) && c->fov > 0 && c->fov < 180 &&
+           positive(c->focal_length) && none_negative(&c->aperture_radius, 1) &&
+           positive(c->ortho_height);
+}
+
+static bool counts_valid(const struct scene *s)
+{
+    return s->texture_count <= SCENE_TEXTURES_MAX && s->material_count <= SCENE_MATERIALS_MAX &&
+           s->image_count <= SCENE_TEXTURES_MAX && s->mesh_count <= SCENE_MESHES_MAX &&
+           s->object_count <= SCENE_OBJECTS_MAX && s->light_count <= SCENE_LIGHTS_MAX;
+}
+
+bool scene_tables_valid(const struct scene *s)
+{
+    bool good = counts_valid(s) && camera_valid(&s->camera) &&
+                index_valid(s->envmap.texture, s->texture_count) &&
+                none_negative(&s->envmap.scale, 1) && scene_transform_valid(s->envmap.transform) &&
+                all_finite(s->seed_light_position, 3) && none_negative(s->seed_light_flux, 3);
+    for (size_t i = 0; good && i < s->texture_count; i++)
+        good = texture_valid(s, &s->textures[i]);
+    for (size_t i = 0; good && i < s->material_count; i++)
+        good = material_valid(s, &s->materials[i]);
+    for (size_t i = 0; good && i < s->object_count; i++)
+        good = object_valid(s, &s->objects[i]);
+    for (size_t i = 0; good && i < s->light_count; i++)
+        good = light_valid(&s->lights[i]);
+    return good;
+}
+
+bool scene_valid(const struct scene *s)
+{
+    bool good = scene_tables_valid(s);
+    for (size_t i = 0; good && i < s->image_count; i++)
+        good = image_valid(&s->images[i]);
+    for (size_t i = 0; good && i < s->mesh_count; i++)
+        good = mesh_valid(&s->meshes[i]);
+    return good;
 }
 
 void scene_check(const struct scene *s)
 {
-    TL_ASSERT(s->texture_count <= SCENE_TEXTURES_MAX && s->material_count <= SCENE_MATERIALS_MAX);
-    TL_ASSERT(s->mesh_count <= SCENE_MESHES_MAX && s->object_count <= SCENE_OBJECTS_MAX);
-    TL_ASSERT(s->light_count <= SCENE_LIGHTS_MAX);
-    TL_ASSERT(s->camera.fov > 0 && s->camera.fov < 180);
-    check_finite(s->camera.position, 3);
-    check_finite(s->camera.look_at, 3);
-    check_finite(s->camera.ref_up, 3);
-    check_index(s->envmap.texture, s->texture_count);
-    check_finite(s->envmap.transform, 16);
-    for (size_t i = 0; i < s->image_count; i++)
-        check_image(&s->images[i]);
-    for (size_t i = 0; i < s->texture_count; i++) {
-        check_index(s->textures[i].image, s->image_count);
-        TL_ASSERT(s->textures[i].type != SCENE_TEXTURE_IMAGE || s->textures[i].image != SCENE_NONE);
-        check_finite(s->textures[i].color[0], 6);
-        check_finite(s->textures[i].uv_matrix, 6);
-    }
-    for (size_t i = 0; i < s->material_count; i++)
-        check_material(s, &s->materials[i]);
-    for (size_t i = 0; i < s->mesh_count; i++)
-        check_mesh(&s->meshes[i]);
-    for (size_t i = 0; i < s->object_count; i++)
-        check_object(s, &s->objects[i]);
-    for (size_t i = 0; i < s->light_count; i++) {
-        check_finite(s->lights[i].position, 3);
-        check_finite(s->lights[i].direction, 3);
-        check_finite(s->lights[i].intensity, 3);
-    }
+    TL_ASSERT(scene_valid(s));
 }

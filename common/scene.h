@@ -32,8 +32,8 @@ enum {
 };
 
 enum scene_image_format {
-    SCENE_IMAGE_F32,      /* linear */
-    SCENE_IMAGE_U8_SRGB,  /* colour channels sRGB-encoded, alpha linear */
+    SCENE_IMAGE_F32,     /* linear */
+    SCENE_IMAGE_U8_SRGB, /* colour channels sRGB-encoded, alpha linear */
     SCENE_IMAGE_U8_LINEAR,
 };
 
@@ -51,21 +51,21 @@ enum scene_wrap { SCENE_WRAP_REPEAT, SCENE_WRAP_CLAMP, SCENE_WRAP_MIRROR };
 struct scene_texture {
     char *name;
     enum scene_texture_type type;
-    double color[2][3];          /* constant: [0]; checkerboard: both */
-    uint32_t image;              /* index, or SCENE_NONE */
-    enum scene_wrap wrap[2];     /* of s and t */
-    double uv_matrix[6];         /* s = m0 u + m1 v + m2, t = m3 u + m4 v + m5 */
+    double color[2][3];      /* constant: [0]; checkerboard: both */
+    uint32_t image;          /* index, or SCENE_NONE */
+    enum scene_wrap wrap[2]; /* of s and t */
+    double uv_matrix[6];     /* s = m0 u + m1 v + m2, t = m3 u + m4 v + m5 */
 };
 
 enum scene_material_type {
     SCENE_MATERIAL_DIFFUSE,
-    SCENE_MATERIAL_MIRROR,           /* perfect, reflectance R */
-    SCENE_MATERIAL_REFRACTION,       /* perfect refraction without Fresnel */
-    SCENE_MATERIAL_GLASS,            /* smooth Fresnel dielectric, tints R and T */
+    SCENE_MATERIAL_MIRROR,     /* perfect, reflectance R */
+    SCENE_MATERIAL_REFRACTION, /* perfect refraction without Fresnel */
+    SCENE_MATERIAL_GLASS,      /* smooth Fresnel dielectric, tints R and T */
     SCENE_MATERIAL_ROUGH_CONDUCTOR,
     SCENE_MATERIAL_ROUGH_DIELECTRIC,
-    SCENE_MATERIAL_PRINCIPLED,       /* glTF metallic-roughness and its extensions */
-    SCENE_MATERIAL_BLACK,            /* absorbs; a light without a material */
+    SCENE_MATERIAL_PRINCIPLED, /* glTF metallic-roughness and its extensions */
+    SCENE_MATERIAL_BLACK,      /* absorbs; a light without a material */
 };
 
 enum scene_distribution { SCENE_BECKMANN, SCENE_GGX };
@@ -73,12 +73,12 @@ enum scene_distribution { SCENE_BECKMANN, SCENE_GGX };
 struct scene_material {
     char *name;
     enum scene_material_type type;
-    uint32_t texture;            /* albedo, reflectance or base colour; SCENE_NONE: `color` */
-    double color[3];             /* used when texture is SCENE_NONE; else a factor (default 1) */
-    bool twosided;               /* diffuse: reflects on both sides of the normal */
+    uint32_t texture; /* albedo, reflectance or base colour; SCENE_NONE: `color` */
+    double color[3];  /* used when texture is SCENE_NONE; else a factor (default 1) */
+    bool twosided;    /* diffuse: reflects on both sides of the normal */
     enum scene_distribution distribution;
-    double alpha_x, alpha_y;     /* roughness of microfacets, as in alpha = roughness^2 */
-    double eta;                  /* relative index of refraction, inside over outside */
+    double alpha_x, alpha_y; /* roughness of microfacets, as in alpha = roughness^2 */
+    double eta;              /* relative index of refraction, inside over outside */
     double R[3], T[3];
     double etaI[3], etaT[3], k[3]; /* conductor: outside and inside index, absorption */
 
@@ -94,8 +94,8 @@ struct scene_material {
     double clearcoat, clearcoat_roughness;
     double sheen_color[3], sheen_roughness;
     double specular, specular_color[3];
-    double alpha;                /* opacity; 1 unless alpha is used */
-    double alpha_cutoff;         /* < 0: blend, else mask; used with base colour's alpha */
+    double alpha;        /* opacity; 1 unless alpha is used */
+    double alpha_cutoff; /* < 0: blend, else mask; used with base colour's alpha */
     bool alpha_used;
 };
 
@@ -104,21 +104,21 @@ struct scene_material {
 struct scene_mesh {
     char *name;
     uint32_t vertex_count, triangle_count;
-    double *positions;  /* 3 * vertex_count */
-    float *normals;     /* 3 * vertex_count, unit or zero; or NULL */
-    float *uvs;         /* 2 * vertex_count; or NULL */
-    uint32_t *indices;  /* 3 * triangle_count, each < vertex_count */
+    double *positions; /* 3 * vertex_count */
+    float *normals;    /* 3 * vertex_count, unit or zero; or NULL */
+    float *uvs;        /* 2 * vertex_count; or NULL */
+    uint32_t *indices; /* 3 * triangle_count, each < vertex_count */
 };
 
 enum scene_object_type { SCENE_OBJECT_MESH, SCENE_OBJECT_SPHERE };
 
 struct scene_object {
     enum scene_object_type type;
-    uint32_t mesh;         /* index, or SCENE_NONE for a sphere */
-    double transform[16];  /* object to world, affine; the identity for a sphere */
+    uint32_t mesh;            /* index, or SCENE_NONE for a sphere */
+    double transform[16];     /* object to world, affine; the identity for a sphere */
     double center[3], radius; /* sphere, world */
-    uint32_t material;     /* index, or SCENE_NONE: black */
-    bool emits;            /* area light, on the side of the geometric normal */
+    uint32_t material;        /* index, or SCENE_NONE: black */
+    bool emits;               /* area light, on the side of the geometric normal */
     double radiance[3];
 };
 
@@ -128,13 +128,16 @@ enum scene_light_type { SCENE_LIGHT_POINT, SCENE_LIGHT_SPOT, SCENE_LIGHT_DIRECTI
 struct scene_light {
     enum scene_light_type type;
     double position[3];
-    double direction[3];  /* unit, the way the light travels; spot and directional */
-    double intensity[3];  /* W/sr for point and spot, W/m^2 for directional */
+    double direction[3];         /* unit, the way the light travels; spot and directional */
+    double intensity[3];         /* W/sr for point and spot, W/m^2 for directional */
     double cos_inner, cos_outer; /* spot: full inside the first, nothing outside the second */
 };
 
 enum scene_camera_type {
-    SCENE_CAMERA_PINHOLE, SCENE_CAMERA_THIN_LENS, SCENE_CAMERA_ORTHOGRAPHIC, SCENE_CAMERA_PANORAMA,
+    SCENE_CAMERA_PINHOLE,
+    SCENE_CAMERA_THIN_LENS,
+    SCENE_CAMERA_ORTHOGRAPHIC,
+    SCENE_CAMERA_PANORAMA,
 };
 
 struct scene_camera {
@@ -147,7 +150,7 @@ struct scene_camera {
 };
 
 struct scene_envmap {
-    uint32_t texture;     /* SCENE_NONE: no environment */
+    uint32_t texture; /* SCENE_NONE: no environment */
     double scale;
     double transform[16]; /* local to world; its rotation counts */
 };
@@ -182,8 +185,21 @@ void scene_texture_init(struct scene_texture *t);
 void scene_material_init(struct scene_material *m);
 void scene_object_init(struct scene_object *o);
 
-/* Asserts that every index is in range, every number finite, every count within
- * its limit: what the parsers and package_read have validated. */
+/* True if every index is in range, every number finite, every transform affine and invertible,
+ * every count within its limit. One pass over all of it. */
+TL_NODISCARD bool scene_valid(const struct scene *s);
+
+/* The same without looking into meshes and images: only their counts matter. */
+TL_NODISCARD bool scene_tables_valid(const struct scene *s);
+
+/* Asserts scene_valid: what the parsers and package_read have made sure of. */
 void scene_check(const struct scene *s);
+
+/* True if a 4x4 row-major matrix is affine, finite and well enough conditioned to invert: its
+ * determinant is over 1e-13 of the product of its rows' lengths, so that scale does not matter. */
+TL_NODISCARD bool scene_transform_valid(const double m[16]);
+
+/* Coordinates, colours and the like are at most this large: squares stay finite. */
+#define SCENE_NUMBER_MAX 1e150
 
 #endif
