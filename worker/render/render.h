@@ -20,7 +20,8 @@ enum { RENDER_CHANNELS = 3 };
 struct render_counters {
     uint64_t samples, rays; /* rays: camera, bounce and shadow rays cast */
     uint64_t nonfinite;     /* samples counted as zero radiance */
-    uint64_t nonfinite_pixel;  /* y * width + x in the full picture, of the first; UINT64_MAX: none */
+    uint64_t
+        nonfinite_pixel; /* y * width + x in the full picture, of the first; UINT64_MAX: none */
     uint64_t nonfinite_sample; /* its job_sample_number */
 };
 
@@ -29,14 +30,14 @@ struct render_scratch; /* opaque */
 TL_NODISCARD enum err render_scratch_new(struct render_scratch **out);
 void render_scratch_free(struct render_scratch *s);
 
-/* Renders one unit. `grid` and the spec inside `scene` are of the same job. `rgb` has
+/* Renders one unit. `grid` and the spec inside `scene` are of the same job. `rgb_sums` has
  * RENDER_CHANNELS planes of grid_pixels(unit) floats: sums of radiance over the block's
  * samples, made in double, rounded once. Sets the thread's MXCSR for its time (round to nearest,
  * no flush to zero). Returns ERR_CANCELLED soon after *stop (may be NULL) became true; then
- * `rgb` is garbage. */
+ * `rgb_sums` is garbage. */
 TL_NODISCARD enum err render_unit(const struct render_scene *scene, const struct grid *grid,
                                   struct unit unit, struct render_scratch *scratch,
-                                  const atomic_bool *stop, float *rgb,
+                                  const atomic_bool *stop, float *rgb_sums,
                                   struct render_counters *counters);
 
 /* The bits of a start-up self-test of everything that decides bits (tracing, samplers, BSDFs,

@@ -1,0 +1,69 @@
+/* worker/render/bsdf.h: how a surface scatters.
+ *
+ * A struct material is a scene material made ready; a struct bsdf is a material at one
+ * point, its textures looked up. bsdf_eval, bsdf_sample and bsdf_pdf agree:
+ *
+ * Directions are unit, local (n = +z), and point away from the surface. wo is towards
+ * the camera. `f` already carries |cos(wi)|. pdf is per steradian. For a lobe of one
+ * direction ("delta") sample gives pdf = its probability and BSDF_DELTA, and eval and pdf are 0
+ * there. Radiance that crosses into a medium of other index is scaled by the square of
+ * the ratio of indices (glass, rough dielectric), except by `refraction`, which is the
+ * course renderer's and has weight 1.
+ *
+ * Microfacets: visible normals; GGX Heitz 2018 (JCGT 7:4), Beckmann by inverting the distribution
+ * of visible slopes (Heitz and d'Eon 2014); uncorrelated masking-shadowing as in Walter et al.
+ * 2007. Pure; any thread. Tests: test_bsdf (chi-square, reciprocity, furnace).
+ */
+#ifndef WORKER_RENDER_BSDF_H
+#define WORKER_RENDER_BSDF_H
+
+#include "common/scene.h"
+#include "worker/render/vec.h"
+
+/* Indices are into the render scene's tables; SCENE_NONE when absent. */
+struct material {
+    enum scene_material_type type;
+    uint32_t texture;
+    rgb color; /* times the texture */
+    bool twosided;
+    bool needs_uv;       /* a texture is looked up, or tangents are wanted */
+    bool is_anisotropic; /* the local x axis follows growing u */
+    bool is_delta;       /* every lobe is: next-event estimation has nothing to do */
+    enum scene_distribution distribution;
+    double alpha_x, alpha_y, eta;
+    rgb R, T;
+    rgb conductor_eta, conductor_k; /* relative to the outside */
+};
+
+/* Of one point; about a cache line or two, made and used on the stack. */
+struct bsdf {
+    const struct material *material;
+    rgb color; /* albedo, reflectance, base colour */
+};
+
+enum {
+    BSDF_DELTA = 1,    /* a single direction */
+    BSDF_TRANSMIT = 2, /* crosses the surface */
+};
+
+struct bsdf_sample {
+    vec3 wi;
+    rgb weight; /* f / pdf */
+    double pdf;
+    double eta2; /* square of the index ratio by which radiance was scaled; 1 for a reflection */
+    int flags;
+};
+
+/* f |cos(wi)|, and the pdf with which bsdf_sample draws wi. */
+rgb bsdf_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf);
+
+/* Draws wi; false when there is none (absorbed). u[0], u[1] place the direction, u[2] chooses
+ * the lobe. */
+bool bsdf_sample(const struct bsdf *b, vec3 wo, const double u[3], struct bsdf_sample *s);
+
+/* Reflectance of a smooth dielectric whose far side has `eta` times the index of the near side;
+ * cosi >= 0 and sin2 = 1 - cosi^2 as the caller knows it best. *cost: cosine on the far side, 0
+ * under total reflection (result 1). */
+double bsdf_fresnel(double cosi, double sin2, double eta, double *cost);
+
+#endif

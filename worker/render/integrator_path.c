@@ -1,0 +1,197 @@
+/* Path tracing with next-event estimation and multiple importance sampling (Veach 1997, power
+ * heuristic), a wave of paths at a time. Profiles: RW finds lights by bsdf sampling alone, NEE by
+ * light sampling wherever that can, MIS weighs both. */
+#include "worker/render/shade.h"
+#include "worker/render/warp.h"
+#include "worker/render/wave.h"
+
+/* Weight of a technique with density a beside one with density b; the larger divides, so that
+ * nothing overflows. */
+static double power_heuristic(double a, double b)
+{
+    if (a > b) {
+        double r = b / a;
+        return 1 / (1 + r * r);
+    }
+    double r = a / b;
+    return r * r / (1 + r * r);
+}
+
+/* Weight of light found by following a direction drawn with path->pdf, where light sampling would
+ * have drawn it with light_pdf. */
+static double found_weight(const struct render_scene *scene, const struct path *path,
+                           double pdf_light)
+{
+    if (path->pdf == 0 || scene->spec.profile == JOB_PROFILE_RW || pdf_light == 0)
+        return 1;
+    return scene->spec.profile == JOB_PROFILE_NEE ? 0 : power_heuristic(path->pdf, pdf_light);
+}
+
+static void add_environment(const struct render_scene *scene, struct path *path, vec3 dir)
+{
+    if (!scene->lights.environment.present)
+        return;
+    double pdf;
+    rgb sky = environment_radiance(&scene->lights, dir, &pdf);
+    double weight = found_weight(scene, path, pdf);
+    path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky), weight));
+}
+
+/* Light that the surface itself emits towards where the path came from. */
+static void add_emission(const struct render_scene *scene, struct path *path,
+                         const struct surface *s, vec3 dir)
+{
+    const struct render_object *object = &scene->objects[s->object];
+    double cosine = -v3_dot(s->ng, dir);
+    if (!(cosine > 0))
+        return;
+    uint32_t light = scene->object_lights[object->light_begin + s->primitive];
+    double weight = 1;
+    if (path->pdf > 0 && light != SCENE_NONE) {
+        vec3 d = v3_sub(s->p, path->org);
+        double pdf = light_pdf(&scene->lights, light, path->org, v3_dot(d, d), cosine);
+        weight = found_weight(scene, path, pdf);
+    }
+    rgb light_in = rgb_mul(path->beta, object->radiance);
+    path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
+}
+
+/* Next-event estimation: a shadow ray to a point drawn on a light. */
+static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
+                           uint32_t index, const struct shade *at, double choose, const double u[2])
+{
+    struct light_sample light;
+    const struct surface *s = &at->surface;
+    if (!light_sample(&scene->lights, s->p, choose, u[0], u[1], &light))
+        return;
+    vec3 wi = frame_to_local(&at->frame, light.wi);
+    if (!shade_is_consistent(at, light.wi, wi.z))
+        return;
+    double pdf;
+    rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
+    if (rgb_is_black(f))
+        return;
+    double weight = 1 / light.pdf;
+    if (!light.delta && scene->spec.profile == JOB_PROFILE_MIS)
+        weight *= power_heuristic(light.pdf, pdf);
+    rgb arriving = rgb_scale(rgb_mul(rgb_mul(f, light.radiance), w->paths[index].beta), weight);
+    vec3 org = surface_offset(s->p, s->ng, s->error, light.wi);
+    wave_shadow(w, index, org, light.target, light.distant, light.wi, arriving);
+}
+
+/* Below the threshold a path survives in proportion to what it carries, and then carries the
+ * threshold again. */
+static bool survives(const struct render_scene *scene, struct path *path, double u)
+{
+    double carried = rgb_max(path->beta) * path->eta2;
+    double threshold = scene->spec.rr_threshold;
+    if (!(carried < threshold))
+        return true;
+    double probability = carried / threshold;
+    if (!(u < probability))
+        return false;
+    path->beta = rgb_scale(path->beta, 1 / probability);
+    return true;
+}
+
+/* True if the ray that leaves a vertex could add something: not at the last edge, where only light
+ * that it hits counts, if light sampling has counted all of that. */
+static bool last_edge_counts(const struct render_scene *scene, bool delta)
+{
+    if (delta)
+        return true;
+    return scene->spec.profile == JOB_PROFILE_RW ||
+           (scene->spec.profile == JOB_PROFILE_MIS && scene->lights.any_hittable);
+}
+
+/* Draws where the path goes on; false if it ends. */
+static bool scatter(const struct render_scene *scene, struct path *path, const struct shade *at,
+                    const double direction[2], const double choice[SAMPLER_SET_VALUES], vec3 *wi)
+{
+    const double u[3] = {direction[0], direction[1], choice[0]};
+    struct bsdf_sample sample;
+    if (!bsdf_sample(&at->bsdf, at->wo, u, &sample))
+        return false;
+    *wi = frame_to_world(&at->frame, sample.wi);
+    bool delta = sample.flags & BSDF_DELTA;
+    if (delta)
+        *wi = v3_unit(*wi);
+    if (!shade_is_consistent(at, *wi, sample.wi.z))
+        return false;
+    path->beta = rgb_mul(path->beta, sample.weight);
+    path->eta2 *= sample.eta2;
+    path->pdf = delta ? 0 : sample.pdf;
+    path->org = at->surface.p;
+    return rgb_max(path->beta) > 0 && survives(scene, path, choice[1]);
+}
+
+/* One vertex of one path: emission, light sampling, next direction. True if it goes on. */
+static bool advance(const struct render_scene *scene, struct render_scratch *w, uint32_t from,
+                    uint32_t depth, uint32_t depth_max, uint32_t slot)
+{
+    uint32_t index = w->active[from];
+    struct path *path = &w->paths[index];
+    const struct hit *hit = &w->hits[from];
+    vec3 dir = v3_of(w->rays[from].dir);
+    if (hit->object == SCENE_NONE) {
+        add_environment(scene, path, dir);
+        return false;
+    }
+    struct shade at;
+    shade_of_hit(scene, hit, dir, &at);
+    if (scene->objects[hit->object].light_begin != SCENE_NONE)
+        add_emission(scene, path, &at.surface, dir);
+    const struct material *m = at.bsdf.material;
+    if (depth >= depth_max || m->type == SCENE_MATERIAL_BLACK)
+        return false;
+    uint32_t set = (depth - 1) * WAVE_SETS_PER_VERTEX;
+    double u[SAMPLER_SET_VALUES], choice[SAMPLER_SET_VALUES];
+    sampler_set(&path->sampler, WAVE_SET_VERTEX + set, u);
+    sampler_set(&path->sampler, WAVE_SET_CHOICE + set, choice);
+    if (!m->is_delta && scene->spec.profile != JOB_PROFILE_RW)
+        connect_lights(scene, w, index, &at, choice[2], u);
+    if (depth + 1 == depth_max && !last_edge_counts(scene, m->is_delta))
+        return false;
+    vec3 wi;
+    if (!scatter(scene, path, &at, u + 2, choice, &wi))
+        return false;
+    const struct surface *s = &at.surface;
+    wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);
+    return true;
+}
+
+void integrate_path(const struct render_scene *scene, struct render_scratch *w)
+{
+    uint32_t depth_max = scene->spec.max_depth;
+    if (scene->spec.integrator == JOB_INTEGRATOR_DIRECT && depth_max > 2)
+        depth_max = 2;
+    for (uint32_t depth = 1; w->active_count > 0 && depth <= depth_max; depth++) {
+        wave_trace(scene, w);
+        uint32_t kept = 0;
+        for (uint32_t i = 0; i < w->active_count; i++)
+            kept += advance(scene, w, i, depth, depth_max, kept);
+        w->active_count = kept;
+        wave_gather(scene, w);
+    }
+}
+
+/* Ambient occlusion: 1 where a cosine-weighted direction escapes. */
+void integrate_ao(const struct render_scene *scene, struct render_scratch *w)
+{
+    wave_trace(scene, w);
+    for (uint32_t i = 0; i < w->active_count; i++) {
+        if (w->hits[i].object == SCENE_NONE)
+            continue;
+        struct shade at;
+        shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), &at);
+        double u[SAMPLER_SET_VALUES];
+        uint32_t index = w->active[i];
+        sampler_set(&w->paths[index].sampler, WAVE_SET_VERTEX, u);
+        vec3 local = warp_cosine_hemisphere(u[2], u[3]);
+        local.z = at.wo.z < 0 ? -local.z : local.z;
+        vec3 wi = frame_to_world(&at.frame, local);
+        vec3 org = surface_offset(at.surface.p, at.surface.ng, at.surface.error, wi);
+        wave_shadow(w, index, org, org, true, wi, rgb_grey(1));
+    }
+    wave_gather(scene, w);
+}

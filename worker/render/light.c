@@ -1,0 +1,203 @@
+#include "worker/render/light.h"
+
+#include "common/dmath.h"
+#include "worker/render/warp.h"
+
+/* A point of a triangle or parallelogram. */
+static bool sample_area(const struct light *l, vec3 p, double u, double v, struct light_sample *s)
+{
+    double a = u, b = v;
+    if (l->type == LIGHT_TRIANGLE)
+        warp_triangle(u, v, &a, &b);
+    vec3 q = v3_mad(v3_mad(l->v0, l->e1, a), l->e2, b);
+    vec3 d = v3_sub(q, p);
+    double distance2 = v3_dot(d, d);
+    double distance = sqrt(distance2);
+    double cosine = -v3_dot(l->n, d); /* times the distance */
+    if (!(cosine > 0))
+        return false;
+    s->wi = v3_scale(d, 1 / distance);
+    s->target = v3_mad(q, l->n, l->error);
+    s->pdf = distance2 * distance / (cosine * l->area);
+    s->radiance = l->radiance;
+    return true;
+}
+
+/* 1 - cos of the half angle under which p sees the sphere, without cancellation; 0 if p is not
+ * outside. */
+static double sphere_cap(const struct light *l, double distance2)
+{
+    double sin2 = l->radius * l->radius / distance2;
+    return sin2 < 1 ? sin2 / (1 + sqrt(1 - sin2)) : 0;
+}
+
+/* A direction in the cone of the sphere, uniform in solid angle. */
+static bool sample_sphere(const struct light *l, vec3 p, double u, double v, struct light_sample *s)
+{
+    vec3 d = v3_sub(l->v0, p);
+    double distance2 = v3_dot(d, d);
+    double cap = sphere_cap(l, distance2);
+    if (!(cap > 0))
+        return false;
+    double x, y;
+    warp_disk(u, v, &x, &y);
+    double below = (x * x + y * y) * cap; /* 1 - cos of the drawn angle */
+    double wide = sqrt(cap * (2 - below));
+    double sin2 = below * (2 - below);
+    double distance = sqrt(distance2);
+    frame f = frame_of(v3_scale(d, 1 / distance));
+    s->wi = v3_unit(frame_to_world(&f, v3(x * wide, y * wide, 1 - below)));
+    /* Where it meets the sphere, brought back onto it. */
+    double half2 = l->radius * l->radius - distance2 * sin2;
+    double t = distance * (1 - below) - sqrt(half2 > 0 ? half2 : 0);
+    vec3 n = v3_unit(v3_sub(v3_mad(p, s->wi, t), l->v0));
+    s->target = v3_mad(l->v0, n, l->radius + l->error);
+    s->pdf = 1 / (2 * VEC_PI * cap);
+    s->radiance = l->radiance;
+    return true;
+}
+
+/* KHR_lights_punctual's fall-off between the two angles. */
+static double spot_falloff(const struct light *l, vec3 wi)
+{
+    double cosine = -v3_dot(wi, l->n);
+    if (cosine <= l->cos_outer)
+        return 0;
+    if (cosine >= l->cos_inner)
+        return 1;
+    double t = (cosine - l->cos_outer) / (l->cos_inner - l->cos_outer);
+    return t * t;
+}
+
+static bool sample_point(const struct light *l, vec3 p, struct light_sample *s)
+{
+    vec3 d = v3_sub(l->v0, p);
+    double distance2 = v3_dot(d, d);
+    s->wi = v3_scale(d, 1 / sqrt(distance2));
+    double falloff = l->type == LIGHT_SPOT ? spot_falloff(l, s->wi) : 1;
+    s->target = l->v0;
+    s->radiance = rgb_scale(l->radiance, falloff / distance2);
+    s->pdf = 1;
+    s->delta = true;
+    return falloff > 0;
+}
+
+/* SCENE-FORMAT's map: u = phi / 2 pi with phi = atan2(x, -z), v = theta / pi from +y. */
+static vec3 environment_direction(const struct environment *e, double u, double v, double *sine)
+{
+    double sp, cp, ct;
+    warp_sincos_turn(u, &sp, &cp);
+    dmath_sincos(v * VEC_PI, sine, &ct);
+    vec3 l = v3(*sine * sp, ct, -*sine * cp);
+    const double *m = e->to_local;
+    return v3(m[0] * l.x + m[3] * l.y + m[6] * l.z, m[1] * l.x + m[4] * l.y + m[7] * l.z,
+              m[2] * l.x + m[5] * l.y + m[8] * l.z);
+}
+
+rgb environment_lookup(const struct environment *e, double u, double v)
+{
+    if (!e->texture)
+        return e->factor;
+    bool image = e->texture->type == SCENE_TEXTURE_IMAGE;
+    return rgb_mul(e->factor, texture_color(e->texture, u, image ? 1 - v : v));
+}
+
+static double environment_pdf(const struct environment *e, double u, double v, double sine)
+{
+    if (!e->texture)
+        return 1 / (4 * VEC_PI);
+    if (!(sine > 0))
+        return 0;
+    return distribution_2d_pdf(&e->image, u, v) / (2 * VEC_PI * VEC_PI * sine);
+}
+
+rgb environment_radiance(const struct light_table *t, vec3 w, double *pdf)
+{
+    const struct environment *e = &t->environment;
+    *pdf = 0;
+    if (!e->present)
+        return rgb_grey(0);
+    double probability =
+        t->environment_light == SCENE_NONE ? 0 : t->lights[t->environment_light].probability;
+    if (!e->texture) {
+        *pdf = probability / (4 * VEC_PI);
+        return e->factor;
+    }
+    const double *m = e->to_local;
+    vec3 l = v3(m[0] * w.x + m[1] * w.y + m[2] * w.z, m[3] * w.x + m[4] * w.y + m[5] * w.z,
+                m[6] * w.x + m[7] * w.y + m[8] * w.z);
+    double phi = dmath_atan2(l.x, -l.z);
+    double u = (phi < 0 ? phi + 2 * VEC_PI : phi) / (2 * VEC_PI);
+    double sine = sqrt(l.x * l.x + l.z * l.z);
+    double v = dmath_atan2(sine, l.y) / VEC_PI;
+    *pdf = probability * environment_pdf(e, u, v, sine);
+    return environment_lookup(e, u, v);
+}
+
+static bool sample_environment(const struct environment *e, double u, double v,
+                               struct light_sample *s)
+{
+    s->distant = true;
+    if (!e->texture) {
+        s->wi = warp_sphere(u, v);
+        s->pdf = 1 / (4 * VEC_PI);
+        s->radiance = e->factor;
+        return true;
+    }
+    double x, y, sine;
+    double density = distribution_2d_sample(&e->image, u, v, &x, &y);
+    s->wi = environment_direction(e, x, y, &sine);
+    if (!(sine > 0))
+        return false;
+    s->pdf = density / (2 * VEC_PI * VEC_PI * sine);
+    s->radiance = environment_lookup(e, x, y);
+    return true;
+}
+
+bool light_sample(const struct light_table *t, vec3 p, double choose, double u, double v,
+                  struct light_sample *s)
+{
+    if (t->count == 0)
+        return false;
+    double rest;
+    size_t index = t->count == 1 ? 0 : distribution_1d_sample(&t->choice, choose, &rest);
+    const struct light *l = &t->lights[index];
+    s->distant = s->delta = false;
+    bool any = false;
+    switch (l->type) {
+    case LIGHT_TRIANGLE:
+    case LIGHT_QUAD:
+        any = sample_area(l, p, u, v, s);
+        break;
+    case LIGHT_SPHERE:
+        any = sample_sphere(l, p, u, v, s);
+        break;
+    case LIGHT_POINT:
+    case LIGHT_SPOT:
+        any = sample_point(l, p, s);
+        break;
+    case LIGHT_DISTANT:
+        s->wi = v3_neg(l->n);
+        s->radiance = l->radiance;
+        s->pdf = 1;
+        any = s->distant = s->delta = true;
+        break;
+    case LIGHT_ENVIRONMENT:
+        any = sample_environment(&t->environment, u, v, s);
+        break;
+    }
+    s->pdf *= l->probability;
+    return any;
+}
+
+double light_pdf(const struct light_table *t, uint32_t index, vec3 p, double distance2,
+                 double cos_light)
+{
+    const struct light *l = &t->lights[index];
+    if (l->type == LIGHT_SPHERE) {
+        vec3 d = v3_sub(l->v0, p);
+        double cap = sphere_cap(l, v3_dot(d, d));
+        return cap > 0 ? l->probability / (2 * VEC_PI * cap) : 0;
+    }
+    return l->probability * distance2 / (cos_light * l->area);
+}

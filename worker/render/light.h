@@ -1,0 +1,83 @@
+/* worker/render/light.h: what shines, how it is chosen, and where on it a sample falls.
+ *
+ * A table of lights in scene space: triangles and parallelograms (two triangles of a
+ * mesh that make one), spheres (sampled by the solid angle they fill), points, spots,
+ * distant lights, and the environment. Area lights emit on the side of their normal
+ * only. light_pdf gives the density with which light_sample draws a direction, the
+ * choice of the light included, for multiple importance sampling.
+ *
+ * Read-only after the build; any thread. Tests: test_light.
+ */
+#ifndef WORKER_RENDER_LIGHT_H
+#define WORKER_RENDER_LIGHT_H
+
+#include "worker/render/distribution.h"
+#include "worker/render/texture.h"
+#include "worker/render/vec.h"
+
+enum light_type {
+    LIGHT_TRIANGLE,
+    LIGHT_QUAD, /* v0 + a e1 + b e2 for a, b in [0,1] */
+    LIGHT_SPHERE,
+    LIGHT_POINT,
+    LIGHT_SPOT,
+    LIGHT_DISTANT,
+    LIGHT_ENVIRONMENT,
+};
+
+struct light {
+    enum light_type type;
+    rgb radiance;    /* area: radiance; point, spot: intensity; distant: irradiance */
+    vec3 v0, e1, e2; /* triangle, quad; v0: centre of a sphere, place of a point */
+    vec3 n;          /* unit: normal of the area; direction of travel of spot and distant light */
+    double area;
+    double radius; /* sphere */
+    double error;  /* of points on the area, along n */
+    double cos_inner, cos_outer;
+    double probability; /* of being chosen */
+};
+
+/* The sky: a texture on the sphere of directions. */
+struct environment {
+    bool present;
+    rgb factor;                    /* scale times the constant */
+    const struct texture *texture; /* an image; NULL: constant */
+    double to_local[9];            /* rotation, world to local */
+    struct distribution_2d image;  /* luminance times sine per texel; empty when constant */
+};
+
+struct light_table {
+    struct light *lights;
+    size_t count;
+    struct distribution_1d choice; /* by power */
+    struct environment environment;
+    uint32_t environment_light; /* its index, or SCENE_NONE */
+    bool any_hittable;          /* some light is a surface or the sky: a ray can find it */
+};
+
+struct light_sample {
+    vec3 wi;      /* unit, towards the light */
+    vec3 target;  /* end of the shadow ray; scene space; unused when distant */
+    bool distant; /* the shadow ray has no end */
+    bool delta;   /* a single direction: no other technique can find it */
+    rgb radiance; /* arriving along wi when nothing is in the way */
+    double pdf;   /* per steradian, times the probability of the light; delta: the latter only */
+};
+
+/* A direction to a light from p; `choose` picks the light, u and v the point. False when nothing
+ * arrives from there. */
+bool light_sample(const struct light_table *t, vec3 p, double choose, double u, double v,
+                  struct light_sample *s);
+
+/* Density with which light_sample from `p` draws the direction of a point at distance squared
+ * `distance2` on light `index`, seen under the cosine `cos_light` > 0 at its own normal. */
+double light_pdf(const struct light_table *t, uint32_t index, vec3 p, double distance2,
+                 double cos_light);
+
+/* Radiance of the sky at a point of its map. */
+rgb environment_lookup(const struct environment *e, double u, double v);
+
+/* Radiance of the sky in a direction of scene space, and the density of light_sample. */
+rgb environment_radiance(const struct light_table *t, vec3 w, double *pdf);
+
+#endif

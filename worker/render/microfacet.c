@@ -1,0 +1,133 @@
+#include "worker/render/microfacet.h"
+
+#include "common/dmath.h"
+#include "worker/render/warp.h"
+
+double microfacet_d(const struct microfacet *mf, vec3 m)
+{
+    double sx = m.x / mf->ax, sy = m.y / mf->ay;
+    double z2 = m.z * m.z;
+    if (!(z2 > 0))
+        return 0;
+    if (mf->distribution == SCENE_GGX) {
+        double e = sx * sx + sy * sy + z2;
+        return 1 / (VEC_PI * mf->ax * mf->ay * e * e);
+    }
+    return dmath_exp(-(sx * sx + sy * sy) / z2) / (VEC_PI * mf->ax * mf->ay * z2 * z2);
+}
+
+double microfacet_lambda(const struct microfacet *mf, vec3 w)
+{
+    double sx = w.x * mf->ax, sy = w.y * mf->ay;
+    double tan2 = (sx * sx + sy * sy) / (w.z * w.z);
+    if (tan2 == 0)
+        return 0;
+    if (mf->distribution == SCENE_GGX)
+        return (sqrt(1 + tan2) - 1) * 0.5;
+    double a = 1 / sqrt(tan2);
+    /* Beyond this the two terms cancel to below the last place of 1 + lambda. */
+    if (a > 6)
+        return 0;
+    return 0.5 * (dmath_erf(a) - 1) + dmath_exp(-a * a) / (2 * a * sqrt(VEC_PI));
+}
+
+/* Dupuy and Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps", in the space where
+ * the roughness is 1. */
+static vec3 sample_ggx(vec3 wo, double u, double v)
+{
+    double z = (1 - v) * (1 + wo.z) - wo.z;
+    double r2 = 1 - z * z;
+    double r = sqrt(r2 > 0 ? r2 : 0);
+    double s, c;
+    warp_sincos_turn(u, &s, &c);
+    return v3_add(v3(r * c, r * s, z), wo);
+}
+
+/* Inverse of erf on (-1, 1): Giles's single-precision polynomials (2010) and two Newton steps. */
+static double erf_inverse(double x)
+{
+    double limit = 1 - 1e-14;
+    x = x < -limit ? -limit : x > limit ? limit : x;
+    double w = -dmath_log((1 - x) * (1 + x)), p;
+    if (w < 5) {
+        w -= 2.5;
+        p = 2.81022636e-08;
+        p = 3.43273939e-07 + p * w;
+        p = -3.5233877e-06 + p * w;
+        p = -4.39150654e-06 + p * w;
+        p = 0.00021858087 + p * w;
+        p = -0.00125372503 + p * w;
+        p = -0.00417768164 + p * w;
+        p = 0.246640727 + p * w;
+        p = 1.50140941 + p * w;
+    } else {
+        w = sqrt(w) - 3;
+        p = -0.000200214257;
+        p = 0.000100950558 + p * w;
+        p = 0.00134934322 + p * w;
+        p = -0.00367342844 + p * w;
+        p = 0.00573950773 + p * w;
+        p = -0.0076224613 + p * w;
+        p = 0.00943887047 + p * w;
+        p = 1.00167406 + p * w;
+        p = 2.83297682 + p * w;
+    }
+    double y = p * x;
+    for (int i = 0; i < 2; i++)
+        y -= (dmath_erf(y) - x) * (0.5 * sqrt(VEC_PI)) * dmath_exp(y * y);
+    return y;
+}
+
+/* Unnormalised distribution function of the slope along the view, for roughness 1 and a view at
+ * tangent tan_o = 1 / cot: the integral of (cot - x) exp(-x^2) below x, up to a common factor. */
+static double slope_cdf(double x, double cot)
+{
+    return cot * (1 + dmath_erf(x)) + dmath_exp(-x * x) / sqrt(VEC_PI);
+}
+
+/* The slope x in (-inf, cot) with slope_cdf(x) = u slope_cdf(cot): Newton kept within a shrinking
+ * bracket. */
+static double sample_slope(double cot, double u)
+{
+    double target = u * slope_cdf(cot, cot);
+    double low = -6.5, high = cot < 6.5 ? cot : 6.5;
+    double x = erf_inverse(u * (1 + dmath_erf(high)) - 1);
+    for (int i = 0; i < 24; i++) {
+        if (!(x > low && x < high))
+            x = 0.5 * (low + high);
+        double error = slope_cdf(x, cot) - target;
+        if (error > 0)
+            high = x;
+        else
+            low = x;
+        double slope = 2 / sqrt(VEC_PI) * (cot - x) * dmath_exp(-x * x);
+        double step = error / slope;
+        if (fabs(step) < 1e-12)
+            break;
+        x -= step;
+    }
+    return x > low && x < high ? x : 0.5 * (low + high);
+}
+
+/* Heitz and d'Eon 2014: slopes visible from wo, in the space where the roughness is 1. */
+static vec3 sample_beckmann(vec3 wo, double u, double v)
+{
+    double sine = sqrt(wo.x * wo.x + wo.y * wo.y);
+    double across = erf_inverse(2 * v - 1);
+    if (sine < 1e-9 * wo.z) {
+        double r = sqrt(-dmath_log(1 - u)), s, c;
+        warp_sincos_turn(v, &s, &c);
+        return v3(-r * c, -r * s, 1);
+    }
+    double along = sample_slope(wo.z / sine, u);
+    double c = wo.x / sine, s = wo.y / sine;
+    return v3(-(along * c - across * s), -(along * s + across * c), 1);
+}
+
+vec3 microfacet_sample(const struct microfacet *mf, vec3 wo, double u, double v)
+{
+    vec3 stretched = v3_unit(v3(wo.x * mf->ax, wo.y * mf->ay, wo.z));
+    vec3 m = mf->distribution == SCENE_GGX ? sample_ggx(stretched, u, v)
+                                           : sample_beckmann(stretched, u, v);
+    return v3_unit(v3(m.x * mf->ax, m.y * mf->ay, m.z > 0 ? m.z : 0));
+}

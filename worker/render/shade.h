@@ -1,0 +1,28 @@
+/* worker/render/shade.h: a hit made ready for scattering: surface, local frame, bsdf.
+ *
+ * Any thread.
+ */
+#ifndef WORKER_RENDER_SHADE_H
+#define WORKER_RENDER_SHADE_H
+
+#include "worker/render/surface.h"
+
+struct shade {
+    struct surface surface;
+    frame frame; /* n is the shading normal */
+    struct bsdf bsdf;
+    vec3 wo; /* local */
+};
+
+/* `dir` is the unit direction of the ray that hit. */
+void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
+                  struct shade *out);
+
+/* True if wi (scene space) lies on the same side of shading and geometric normal, so that a
+ * reflection stays a reflection and a transmission one. */
+static inline bool shade_is_consistent(const struct shade *s, vec3 wi, double wi_local_z)
+{
+    return (v3_dot(s->surface.ng, wi) > 0) == (wi_local_z > 0);
+}
+
+#endif

@@ -1,0 +1,101 @@
+/* worker/render/warp.h: from the unit square to disks, spheres and triangles.
+ *
+ * Area-preserving maps of u in [0,1)^2 with bounded distortion, so that the strata
+ * of a low-discrepancy set survive. Trigonometry is by our own polynomials on an
+ * eighth of the circle: the same bits everywhere, and several times cheaper than a
+ * general sine. Any thread. Tests: test_warp.
+ */
+#ifndef WORKER_RENDER_WARP_H
+#define WORKER_RENDER_WARP_H
+
+#include "worker/render/vec.h"
+
+/* sin and cos of x * pi / 4 for |x| <= 1, to about 1 ulp (Taylor series in Horner form). */
+static inline void warp_sincos_eighth(double x, double *sine, double *cosine)
+{
+    double a = x * (VEC_PI / 4);
+    double z = a * a;
+    double s = 2.8114572543455206e-15;
+    s = s * z - 7.6471637318198164e-13;
+    s = s * z + 1.6059043836821613e-10;
+    s = s * z - 2.5052108385441720e-08;
+    s = s * z + 2.7557319223985893e-06;
+    s = s * z - 1.9841269841269841e-04;
+    s = s * z + 8.3333333333333332e-03;
+    s = s * z - 1.6666666666666666e-01;
+    double c = 4.7794773323873853e-14;
+    c = c * z - 1.1470745597729725e-11;
+    c = c * z + 2.0876756987868099e-09;
+    c = c * z - 2.7557319223985888e-07;
+    c = c * z + 2.4801587301587302e-05;
+    c = c * z - 1.3888888888888889e-03;
+    c = c * z + 4.1666666666666664e-02;
+    c = c * z - 0.5;
+    *sine = a + a * z * s;
+    *cosine = 1.0 + z * c;
+}
+
+/* sin and cos of 2 * pi * u for u in [0,1). */
+static inline void warp_sincos_turn(double u, double *sine, double *cosine)
+{
+    /* The nearest quarter turn, then at most an eighth of a turn either way. */
+    double quarters = u * 4;
+    int quarter = (int)(quarters + 0.5);
+    double s, c;
+    warp_sincos_eighth((quarters - quarter) * 2, &s, &c);
+    double even_s = quarter & 1 ? c : s;
+    double even_c = quarter & 1 ? -s : c;
+    *sine = quarter & 2 ? -even_s : even_s;
+    *cosine = quarter & 2 ? -even_c : even_c;
+}
+
+/* Shirley and Chiu 1997: concentric squares to concentric circles. */
+static inline void warp_disk(double u, double v, double *x, double *y)
+{
+    double a = 2 * u - 1, b = 2 * v - 1;
+    bool wide = fabs(a) > fabs(b);
+    double radius = wide ? a : b;
+    double ratio = radius == 0 ? 0 : (wide ? b : a) / radius;
+    double s, c;
+    warp_sincos_eighth(ratio, &s, &c);
+    *x = radius * (wide ? c : s);
+    *y = radius * (wide ? s : c);
+}
+
+/* Density cos / pi about +z. */
+static inline vec3 warp_cosine_hemisphere(double u, double v)
+{
+    vec3 d;
+    warp_disk(u, v, &d.x, &d.y);
+    double z2 = 1.0 - d.x * d.x - d.y * d.y;
+    d.z = sqrt(z2 > 0 ? z2 : 0);
+    return d;
+}
+
+/* Density 1 / (4 pi). */
+static inline vec3 warp_sphere(double u, double v)
+{
+    double z = 1 - 2 * u;
+    double r2 = 1 - z * z;
+    double r = sqrt(r2 > 0 ? r2 : 0);
+    double s, c;
+    warp_sincos_turn(v, &s, &c);
+    return v3(r * c, r * s, z);
+}
+
+/* Weights of the vertices 1 and 2 of a uniform point of a triangle. Heitz 2019, "A Low-Distortion
+ * Map Between Triangle and Square". */
+static inline void warp_triangle(double u, double v, double *b1, double *b2)
+{
+    if (v > u) {
+        double half = u * 0.5;
+        *b1 = half;
+        *b2 = v - half;
+    } else {
+        double half = v * 0.5;
+        *b1 = u - half;
+        *b2 = half;
+    }
+}
+
+#endif

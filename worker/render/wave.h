@@ -1,0 +1,84 @@
+/* worker/render/wave.h: the samples that one thread has in flight, and their memory.
+ *
+ * An integrator gets a wave of samples with their camera rays, follows them all at
+ * once through the batch calls of accel.h, and leaves the radiance of each in
+ * path.radiance. The order of work within a wave never reaches the result: a path's
+ * numbers depend on the path alone. One thread.
+ */
+#ifndef WORKER_RENDER_WAVE_H
+#define WORKER_RENDER_WAVE_H
+
+#include "worker/render/render.h"
+#include "worker/render/render_scene.h"
+#include "worker/render/sampler.h"
+
+enum { WAVE_PATHS = 1024 };
+
+struct path {
+    struct sampler sampler;
+    rgb radiance;
+    rgb beta; /* throughput */
+    double filter_weight;
+    double eta2;   /* product of the index ratios that beta was scaled by, undone in roulette */
+    double pdf;    /* with which the last direction was drawn; 0: by a delta lobe, or camera */
+    vec3 org;      /* where the last direction left from, for the pdf of lights */
+    uint32_t x, y; /* pixel of the full picture */
+};
+
+struct render_scratch {
+    struct path paths[WAVE_PATHS];
+    uint32_t path_count;
+
+    /* Rays under way: rays[i] belongs to paths[active[i]]. */
+    struct ray rays[WAVE_PATHS];
+    struct hit hits[WAVE_PATHS];
+    uint32_t active[WAVE_PATHS];
+    uint32_t active_count;
+
+    /* Rays towards lights: what shadow_radiance[i] adds to paths[shadow_path[i]] if nothing is
+     * in the way. */
+    struct ray shadow_rays[WAVE_PATHS];
+    rgb shadow_radiance[WAVE_PATHS];
+    uint32_t shadow_path[WAVE_PATHS];
+    uint8_t occluded[WAVE_PATHS];
+    uint32_t shadow_count;
+
+    uint64_t ray_count; /* cast so far in this unit */
+};
+
+/* The sets of the sampler that belong to the camera and to the vertices of a path. */
+enum {
+    WAVE_SET_CAMERA = 0, /* film x, y; lens u, v */
+    WAVE_SET_VERTEX = 1, /* of vertex 0: light u, v; bsdf u, v */
+    WAVE_SET_CHOICE = 2, /* of vertex 0: bsdf lobe, roulette, which light, opacity */
+    WAVE_SETS_PER_VERTEX = 2,
+};
+
+/* Casts the rays under way. */
+void wave_trace(const struct render_scene *scene, struct render_scratch *w);
+
+/* Adds a shadow ray for a path: from `org` to `target`, or along `wi` without end if `distant`. */
+void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target, bool distant,
+                 vec3 wi, rgb radiance);
+
+/* Casts the shadow rays, adds what arrives, and forgets them. */
+void wave_gather(const struct render_scene *scene, struct render_scratch *w);
+
+/* Sets ray `slot` of the next round, slot <= the index being read. */
+static inline void wave_continue(struct render_scratch *w, uint32_t slot, uint32_t path, vec3 org,
+                                 vec3 dir)
+{
+    struct ray *ray = &w->rays[slot];
+    v3_put(ray->org, org);
+    v3_put(ray->dir, dir);
+    ray->tmin = 0;
+    ray->tmax = INFINITY;
+    w->active[slot] = path;
+}
+
+/* The integrators. */
+void integrate_seed(const struct render_scene *scene, struct render_scratch *w);
+void integrate_path(const struct render_scene *scene, struct render_scratch *w);
+void integrate_ao(const struct render_scene *scene, struct render_scratch *w);
+
+#endif

@@ -1,0 +1,87 @@
+#include "worker/scene/scene_build.h"
+
+#include "worker/scene/scene_parts.h"
+
+/* The tree's view of the meshes and objects. */
+static enum err build_accel(struct render_scene *rs, const struct accel_runner *runner)
+{
+    struct accel_mesh *meshes = mem_calloc(rs->mesh_count, sizeof *meshes);
+    struct accel_object *objects = mem_calloc(rs->object_count, sizeof *objects);
+    enum err e = ERR_NOMEM;
+    if (!meshes || !objects)
+        goto out;
+    for (size_t i = 0; i < rs->mesh_count; i++) {
+        const struct render_mesh *m = &rs->meshes[i];
+        meshes[i] =
+            (struct accel_mesh){m->positions, m->indices, m->vertex_count, m->triangle_count};
+    }
+    for (size_t i = 0; i < rs->object_count; i++) {
+        const struct render_object *o = &rs->objects[i];
+        objects[i] = (struct accel_object){.type = o->type, .mesh = o->mesh, .radius = o->radius};
+        v3_put(objects[i].center, o->center);
+        memcpy(objects[i].to_scene, o->to_scene, sizeof o->to_scene);
+        memcpy(objects[i].from_scene, o->from_scene, sizeof o->from_scene);
+    }
+    struct accel_input input = {meshes, rs->mesh_count, objects, rs->object_count};
+    struct accel_options options = {rs->spec.builder, rs->spec.intersector, rs->spec.precision,
+                                    ACCEL_ISA_AUTO};
+    e = accel_new(&input, &options, runner, &rs->accel);
+out:
+    mem_free(meshes);
+    mem_free(objects);
+    return e;
+}
+
+static enum err build(struct render_scene *rs, const struct scene *scene,
+                      const struct accel_runner *runner)
+{
+    TL_TRY(scene_build_geometry(rs, scene));
+    TL_TRY(scene_build_materials(rs, scene));
+    TL_TRY(scene_build_lights(rs, scene));
+    camera_init(&rs->camera, &scene->camera, rs->spec.width, rs->spec.height, rs->center,
+                rs->scale);
+    film_filter_init(&rs->filter, &rs->spec);
+    vec3 light = v3_sub(v3_of(scene->seed_light_position), v3_of(rs->center));
+    rs->seed_light_position = v3_scale(light, rs->scale);
+    rs->seed_light_flux = rgb_scale(rgb_of(scene->seed_light_flux), rs->scale * rs->scale);
+    return build_accel(rs, runner);
+}
+
+enum err scene_build(const struct scene *scene, const struct job_spec *spec,
+                     const struct accel_runner *runner, struct render_scene **out)
+{
+    struct render_scene *rs = mem_calloc(1, sizeof *rs);
+    if (!rs)
+        return ERR_NOMEM;
+    arena_init(&rs->arena);
+    rs->spec = *spec;
+    enum err e = build(rs, scene, runner);
+    if (e != ERR_OK) {
+        render_scene_free(rs);
+        return e;
+    }
+    *out = rs;
+    return ERR_OK;
+}
+
+void render_scene_free(struct render_scene *rs)
+{
+    if (!rs)
+        return;
+    if (rs->accel)
+        accel_free(rs->accel);
+    arena_release(&rs->arena);
+    mem_free(rs);
+}
+
+size_t render_scene_bytes(const struct render_scene *rs)
+{
+    struct accel_stats stats;
+    accel_stats_get(rs->accel, &stats);
+    return sizeof *rs + rs->arena.total_bytes + (size_t)stats.bytes;
+}
+
+void render_scene_stats(const struct render_scene *rs, struct accel_stats *out)
+{
+    accel_stats_get(rs->accel, out);
+}

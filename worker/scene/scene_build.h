@@ -1,0 +1,31 @@
+/* worker/scene/scene_build.h: from a scene and a job to what the tracing core reads.
+ *
+ * Geometry is moved to the scene's centre and scaled by a power of two, in double, and each
+ * vertex is rounded once, to float: so walls of different meshes that meet in the
+ * world still meet. A mesh that many objects use and that is big is kept once, in its
+ * own space, and instanced; all others are written out. Emitting objects always are.
+ *
+ * The result borrows nothing: the scene may be released. One thread; `runner` (may be
+ * NULL) gives the builder of the tree more.
+ */
+#ifndef WORKER_SCENE_SCENE_BUILD_H
+#define WORKER_SCENE_SCENE_BUILD_H
+
+#include "common/scene.h"
+#include "worker/render/render.h"
+#include "worker/render/accel.h"
+
+/* The scene is valid (scene_check), the spec too. ERR_NOMEM; ERR_LIMIT when the extent of the
+ * scene cannot be held in a double. */
+TL_NODISCARD enum err scene_build(const struct scene *scene, const struct job_spec *spec,
+                                  const struct accel_runner *runner, struct render_scene **out);
+
+void render_scene_free(struct render_scene *rs);
+
+/* Memory held, tree included. */
+size_t render_scene_bytes(const struct render_scene *rs);
+
+/* Of the tree. */
+void render_scene_stats(const struct render_scene *rs, struct accel_stats *out);
+
+#endif

@@ -1,0 +1,300 @@
+#include "worker/scene/scene_parts.h"
+
+#include "common/dmath.h"
+
+enum {
+    /* The sky is tabulated at its image's resolution up to this, and this coarse without an image.
+     */
+    SKY_WIDTH_MAX = 2048,
+    SKY_WIDTH_PATTERN = 256,
+};
+
+/* A share of the sky's density that no texel goes without, so that a light between the places
+ * where the table looked is found. */
+static const double SKY_FLOOR = 0.001;
+
+/* Two triangles of a mesh count as one parallelogram when the fourth corner is off by no more than
+ * this many units in the last place of the coordinates. */
+enum { QUAD_ULPS = 8 };
+
+static const double FLOAT_ULP = 1.0 / 8388608.0;
+
+/* Positions of lights are rounded in double this often at most. */
+static const double POINT_ERROR = 32.0 / 9007199254740992.0;
+
+static vec3 vertex_of(const struct render_mesh *m, size_t triangle, int corner)
+{
+    const float *p = m->positions + 3 * (size_t)m->indices[3 * triangle + (size_t)corner];
+    return v3((double)p[0], (double)p[1], (double)p[2]);
+}
+
+/* The light that a triangle is; false when it has no area. */
+static bool triangle_light(const struct render_mesh *m, size_t triangle, rgb radiance,
+                           struct light *out)
+{
+    vec3 v0 = vertex_of(m, triangle, 0);
+    vec3 e1 = v3_sub(vertex_of(m, triangle, 1), v0), e2 = v3_sub(vertex_of(m, triangle, 2), v0);
+    vec3 n = v3_cross(e1, e2);
+    double length = v3_length(n);
+    if (!(length > 0))
+        return false;
+    double size = v3_abs_max(v0) + v3_abs_max(e1) + v3_abs_max(e2);
+    *out = (struct light){.type = LIGHT_TRIANGLE,
+                          .radiance = radiance,
+                          .v0 = v0,
+                          .e1 = e1,
+                          .e2 = e2,
+                          .n = v3_scale(n, 1 / length),
+                          .area = 0.5 * length,
+                          .error = POINT_ERROR * size};
+    return true;
+}
+
+/* Makes `l`, the light of triangle t, that of the parallelogram with triangle t + 1, if they make
+ * one and face the same way. */
+static bool quad_light(const struct render_mesh *m, size_t t, struct light *l)
+{
+    struct light other;
+    if (!triangle_light(m, t + 1, l->radiance, &other) || v3_dot(l->n, other.n) < 1 - 1e-12)
+        return false;
+    for (int k = 0; k < 3; k++) {
+        vec3 corner = vertex_of(m, t, k);
+        vec3 a = vertex_of(m, t, (k + 1) % 3), b = vertex_of(m, t, (k + 2) % 3);
+        vec3 fourth = v3_sub(v3_add(a, b), corner);
+        double size = v3_abs_max(a) + v3_abs_max(b) + v3_abs_max(corner);
+        for (int j = 0; j < 3; j++) {
+            vec3 off = v3_sub(vertex_of(m, t + 1, j), fourth);
+            vec3 c = vertex_of(m, t + 1, (j + 1) % 3), d = vertex_of(m, t + 1, (j + 2) % 3);
+            bool shared = v3_abs_max(v3_sub(c, b)) == 0 && v3_abs_max(v3_sub(d, a)) == 0;
+            if (!shared || !(v3_abs_max(off) <= QUAD_ULPS * FLOAT_ULP * size))
+                continue;
+            l->type = LIGHT_QUAD;
+            l->v0 = corner;
+            l->e1 = v3_sub(a, corner);
+            l->e2 = v3_sub(b, corner);
+            l->area *= 2;
+            l->error += v3_abs_max(off);
+            return true;
+        }
+    }
+    return false;
+}
+
+/* Appends the lights of an emitting mesh; light_of[triangle] names each triangle's. */
+static void add_mesh_lights(struct light_table *table, const struct render_mesh *m, rgb radiance,
+                            uint32_t *light_of)
+{
+    for (size_t t = 0; t < m->triangle_count; t++) {
+        struct light *l = &table->lights[table->count];
+        light_of[t] = SCENE_NONE;
+        if (!triangle_light(m, t, radiance, l))
+            continue;
+        light_of[t] = (uint32_t)table->count;
+        if (t + 1 < m->triangle_count && quad_light(m, t, l))
+            light_of[++t] = (uint32_t)table->count;
+        table->count++;
+    }
+}
+
+static struct light sphere_light(const struct render_object *o)
+{
+    return (struct light){.type = LIGHT_SPHERE,
+                          .radiance = o->radiance,
+                          .v0 = o->center,
+                          .radius = o->radius,
+                          .area = 4 * VEC_PI * o->radius * o->radius,
+                          .error = POINT_ERROR * (v3_abs_max(o->center) + o->radius)};
+}
+
+static struct light punctual_light(const struct render_scene *rs, const struct scene_light *from)
+{
+    double scale2 = rs->scale * rs->scale;
+    bool distant = from->type == SCENE_LIGHT_DIRECTIONAL;
+    vec3 at = v3_scale(v3_sub(v3_of(from->position), v3_of(rs->center)), rs->scale);
+    return (struct light){.type = distant                          ? LIGHT_DISTANT
+                                  : from->type == SCENE_LIGHT_SPOT ? LIGHT_SPOT
+                                                                   : LIGHT_POINT,
+                          .radiance = rgb_scale(rgb_of(from->intensity), distant ? 1 : scale2),
+                          .v0 = at,
+                          .n = distant || from->type == SCENE_LIGHT_SPOT
+                                   ? v3_unit(v3_of(from->direction))
+                                   : v3(0, 0, 1),
+                          .cos_inner = from->cos_inner,
+                          .cos_outer = from->cos_outer};
+}
+
+/* Rough flux into the scene, whose radius is about 1: only its ratios matter. */
+static double light_power(const struct light *l, const struct environment *sky)
+{
+    double value = rgb_luminance(l->radiance);
+    switch (l->type) {
+    case LIGHT_POINT:
+        return 4 * VEC_PI * value;
+    case LIGHT_SPOT:
+        return 2 * VEC_PI * (1 - 0.5 * (l->cos_inner + l->cos_outer)) * value;
+    case LIGHT_DISTANT:
+        return VEC_PI * value;
+    case LIGHT_ENVIRONMENT: {
+        double mean = sky->texture ? sky->image.rows.sum : 1;
+        return 4 * VEC_PI * VEC_PI * value * mean;
+    }
+    default:
+        return VEC_PI * l->area * value;
+    }
+}
+
+/* The inverse of the transform's rotation: its columns made orthonormal, transposed. */
+static void sky_rotation(const double m[16], double to_local[9])
+{
+    vec3 x = v3(m[0], m[4], m[8]), y = v3(m[1], m[5], m[9]), z = v3(m[2], m[6], m[10]);
+    double handed = v3_dot(v3_cross(x, y), z) < 0 ? -1 : 1;
+    x = v3_unit(x);
+    y = v3_unit(v3_sub(y, v3_scale(x, v3_dot(x, y))));
+    z = v3_scale(v3_cross(x, y), handed);
+    v3_put(to_local, x);
+    v3_put(to_local + 3, y);
+    v3_put(to_local + 6, z);
+}
+
+/* Mean luminance of a cell of the sky's map, from its corners and middle. */
+static double sky_cell(const struct environment *sky, size_t x, size_t y, size_t width,
+                       size_t height)
+{
+    static const double place[5][2] = {{0, 0}, {1, 0}, {0, 1}, {1, 1}, {0.5, 0.5}};
+    double sum = 0;
+    for (int k = 0; k < 5; k++) {
+        double u = ((double)x + place[k][0]) / (double)width;
+        double v = ((double)y + place[k][1]) / (double)height;
+        sum += rgb_luminance(environment_lookup(sky, u, v));
+    }
+    return sum > 0 ? sum / 5 : 0;
+}
+
+/* Tabulates luminance times sine; scaled so that the sum of the weights is the mean luminance
+ * over the sphere. */
+static enum err tabulate_sky(struct render_scene *rs, struct environment *sky)
+{
+    size_t width = SKY_WIDTH_PATTERN, height = SKY_WIDTH_PATTERN / 2;
+    if (sky->texture->type == SCENE_TEXTURE_IMAGE) {
+        width = sky->texture->width < SKY_WIDTH_MAX ? sky->texture->width : SKY_WIDTH_MAX;
+        height =
+            sky->texture->height < SKY_WIDTH_MAX / 2 ? sky->texture->height : SKY_WIDTH_MAX / 2;
+    }
+    double *weights = mem_alloc_array(width * height, sizeof *weights);
+    if (!weights)
+        return ERR_NOMEM;
+    double sum = 0, sines = 0;
+    for (size_t y = 0; y < height; y++) {
+        double sine = dmath_sinpi(((double)y + 0.5) / (double)height);
+        sines += sine * (double)width;
+        for (size_t x = 0; x < width; x++) {
+            weights[y * width + x] = sky_cell(sky, x, y, width, height) * sine;
+            sum += weights[y * width + x];
+        }
+    }
+    double floor_weight = SKY_FLOOR * sum / sines;
+    for (size_t y = 0; y < height; y++) {
+        double sine = dmath_sinpi(((double)y + 0.5) / (double)height);
+        for (size_t x = 0; x < width; x++) {
+            double *weight = &weights[y * width + x];
+            *weight = (*weight + floor_weight * sine) / sines;
+        }
+    }
+    enum err e = distribution_2d_init(&sky->image, &rs->arena, weights, width, height);
+    mem_free(weights);
+    return e;
+}
+
+static enum err build_sky(struct render_scene *rs, const struct scene *scene)
+{
+    const struct scene_envmap *from = &scene->envmap;
+    struct environment *sky = &rs->lights.environment;
+    if (from->texture == SCENE_NONE)
+        return ERR_OK;
+    sky->present = true;
+    sky->factor = rgb_grey(from->scale);
+    sky_rotation(from->transform, sky->to_local);
+    const struct texture *texture = &rs->textures[from->texture];
+    if (texture->type == SCENE_TEXTURE_CONSTANT) {
+        sky->factor = rgb_scale(texture->color[0], from->scale);
+        return ERR_OK;
+    }
+    /* Its own copy: the poles are not each other's neighbours. */
+    struct texture *copy = arena_alloc(&rs->arena, 1, sizeof *copy);
+    if (!copy)
+        return ERR_NOMEM;
+    *copy = *texture;
+    copy->wrap[1] = SCENE_WRAP_CLAMP;
+    sky->texture = copy;
+    return tabulate_sky(rs, sky);
+}
+
+/* Space for the lights and for each emitting object's primitives. */
+static enum err allocate(struct render_scene *rs, const struct scene *scene,
+                         uint32_t **object_lights)
+{
+    size_t primitives = 0;
+    for (size_t i = 0; i < rs->object_count; i++) {
+        struct render_object *o = &rs->objects[i];
+        if (rgb_is_black(o->radiance))
+            continue;
+        o->light_begin = (uint32_t)primitives;
+        primitives += o->type == ACCEL_SPHERE ? 1 : rs->meshes[o->mesh].triangle_count;
+        if (primitives >= SCENE_NONE)
+            return ERR_LIMIT;
+    }
+    *object_lights = arena_alloc(&rs->arena, primitives, sizeof **object_lights);
+    rs->lights.lights =
+        arena_alloc(&rs->arena, primitives + scene->light_count + 1, sizeof *rs->lights.lights);
+    rs->object_lights = *object_lights;
+    return *object_lights && rs->lights.lights ? ERR_OK : ERR_NOMEM;
+}
+
+/* The table by which a light is drawn, in proportion to its power. */
+static enum err build_choice(struct render_scene *rs)
+{
+    struct light_table *t = &rs->lights;
+    if (t->count == 0)
+        return ERR_OK;
+    double *powers = mem_alloc_array(t->count, sizeof *powers);
+    if (!powers)
+        return ERR_NOMEM;
+    for (size_t i = 0; i < t->count; i++)
+        powers[i] = light_power(&t->lights[i], &t->environment);
+    enum err e = distribution_1d_init(&t->choice, &rs->arena, powers, t->count);
+    for (size_t i = 0; e == ERR_OK && i < t->count; i++)
+        t->lights[i].probability = distribution_1d_probability(&t->choice, i);
+    mem_free(powers);
+    return e;
+}
+
+enum err scene_build_lights(struct render_scene *rs, const struct scene *scene)
+{
+    struct light_table *t = &rs->lights;
+    uint32_t *object_lights;
+    t->environment_light = SCENE_NONE;
+    TL_TRY(build_sky(rs, scene));
+    TL_TRY(allocate(rs, scene, &object_lights));
+    for (size_t i = 0; i < rs->object_count; i++) {
+        const struct render_object *o = &rs->objects[i];
+        if (o->light_begin == SCENE_NONE)
+            continue;
+        uint32_t *light_of = object_lights + o->light_begin;
+        if (o->type == ACCEL_SPHERE) {
+            *light_of = (uint32_t)t->count;
+            t->lights[t->count++] = sphere_light(o);
+        } else {
+            add_mesh_lights(t, &rs->meshes[o->mesh], o->radiance, light_of);
+        }
+    }
+    t->any_hittable = t->count > 0 || t->environment.present;
+    for (size_t i = 0; i < scene->light_count; i++)
+        t->lights[t->count++] = punctual_light(rs, &scene->lights[i]);
+    if (t->environment.present) {
+        t->environment_light = (uint32_t)t->count;
+        t->lights[t->count++] = (struct light){
+            .type = LIGHT_ENVIRONMENT,
+            .radiance = t->environment.texture ? rgb_grey(1) : t->environment.factor};
+    }
+    return build_choice(rs);
+}

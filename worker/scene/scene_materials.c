@@ -1,0 +1,106 @@
+#include "worker/scene/scene_parts.h"
+
+static size_t image_bytes(const struct scene_image *image)
+{
+    size_t sample = image->format == SCENE_IMAGE_F32 ? sizeof(float) : 1;
+    return (size_t)image->width * image->height * image->channel_count * sample;
+}
+
+/* Copies the images that some texture uses; pixels[i] stays NULL for the others. */
+static enum err copy_images(struct render_scene *rs, const struct scene *scene, const void **pixels)
+{
+    for (size_t i = 0; i < scene->texture_count; i++) {
+        uint32_t index = scene->textures[i].image;
+        if (index == SCENE_NONE || pixels[index])
+            continue;
+        const struct scene_image *image = &scene->images[index];
+        void *copy = arena_alloc(&rs->arena, image_bytes(image), 1);
+        if (!copy)
+            return ERR_NOMEM;
+        memcpy(copy, image->pixels, image_bytes(image));
+        pixels[index] = copy;
+    }
+    return ERR_OK;
+}
+
+static void make_texture(const struct scene *scene, const struct scene_texture *from,
+                         const void *const *pixels, struct texture *out)
+{
+    *out = (struct texture){.type = from->type,
+                            .color = {rgb_of(from->color[0]), rgb_of(from->color[1])},
+                            .wrap = {from->wrap[0], from->wrap[1]}};
+    memcpy(out->uv_matrix, from->uv_matrix, sizeof out->uv_matrix);
+    if (from->type != SCENE_TEXTURE_IMAGE)
+        return;
+    const struct scene_image *image = &scene->images[from->image];
+    out->width = image->width;
+    out->height = image->height;
+    out->channel_count = image->channel_count;
+    out->format = image->format;
+    out->pixels = pixels[from->image];
+}
+
+/* A constant texture becomes the material's colour, so that nothing is looked up per hit. */
+static void make_albedo(const struct scene *scene, const struct scene_material *from,
+                        struct material *out)
+{
+    out->color = rgb_of(from->color);
+    out->texture = from->texture;
+    if (from->texture == SCENE_NONE)
+        return;
+    const struct scene_texture *t = &scene->textures[from->texture];
+    if (t->type == SCENE_TEXTURE_CONSTANT) {
+        out->color = rgb_mul(out->color, rgb_of(t->color[0]));
+        out->texture = SCENE_NONE;
+    }
+}
+
+/* Zero outside indices mean vacuum. */
+static rgb divided(const double a[3], const double b[3])
+{
+    return (rgb){a[0] / (b[0] > 0 ? b[0] : 1), a[1] / (b[1] > 0 ? b[1] : 1),
+                 a[2] / (b[2] > 0 ? b[2] : 1)};
+}
+
+static void make_material(const struct scene *scene, const struct scene_material *from,
+                          struct material *out)
+{
+    *out = (struct material){.type = from->type,
+                             .twosided = from->twosided,
+                             .distribution = from->distribution,
+                             .alpha_x = from->alpha_x,
+                             .alpha_y = from->alpha_y,
+                             .eta = from->eta,
+                             .R = rgb_of(from->R),
+                             .T = rgb_of(from->T),
+                             .conductor_eta = divided(from->etaT, from->etaI),
+                             .conductor_k = divided(from->k, from->etaI)};
+    make_albedo(scene, from, out);
+    out->is_delta = from->type == SCENE_MATERIAL_MIRROR ||
+                    from->type == SCENE_MATERIAL_REFRACTION || from->type == SCENE_MATERIAL_GLASS ||
+                    from->type == SCENE_MATERIAL_BLACK;
+    out->is_anisotropic = from->alpha_x != from->alpha_y;
+    out->needs_uv = out->texture != SCENE_NONE || out->is_anisotropic;
+}
+
+enum err scene_build_materials(struct render_scene *rs, const struct scene *scene)
+{
+    const void **pixels = mem_calloc(scene->image_count, sizeof *pixels);
+    rs->textures = arena_alloc(&rs->arena, scene->texture_count, sizeof *rs->textures);
+    rs->materials = arena_alloc(&rs->arena, scene->material_count + 1, sizeof *rs->materials);
+    enum err e = pixels && rs->textures && rs->materials ? ERR_OK : ERR_NOMEM;
+    if (e == ERR_OK)
+        e = copy_images(rs, scene, pixels);
+    if (e == ERR_OK) {
+        rs->texture_count = scene->texture_count;
+        for (size_t i = 0; i < scene->texture_count; i++)
+            make_texture(scene, &scene->textures[i], pixels, &rs->textures[i]);
+        rs->material_count = scene->material_count + 1;
+        for (size_t i = 0; i < scene->material_count; i++)
+            make_material(scene, &scene->materials[i], &rs->materials[i]);
+        rs->materials[scene->material_count] = (struct material){
+            .type = SCENE_MATERIAL_BLACK, .texture = SCENE_NONE, .is_delta = true};
+    }
+    mem_free(pixels);
+    return e;
+}

@@ -1,0 +1,19 @@
+/* worker/scene/scene_parts.h: the steps of scene_build, a file each.
+ *
+ * Each fills its part of the render scene from the arena. ERR_NOMEM.
+ */
+#ifndef WORKER_SCENE_SCENE_PARTS_H
+#define WORKER_SCENE_SCENE_PARTS_H
+
+#include "worker/render/render_scene.h"
+
+/* Centre, scale, meshes, objects. ERR_LIMIT for an extent beyond double. */
+TL_NODISCARD enum err scene_build_geometry(struct render_scene *rs, const struct scene *scene);
+
+/* Textures and materials. */
+TL_NODISCARD enum err scene_build_materials(struct render_scene *rs, const struct scene *scene);
+
+/* Area lights of the objects, the lights of the scene, the environment. After the others. */
+TL_NODISCARD enum err scene_build_lights(struct render_scene *rs, const struct scene *scene);
+
+#endif
