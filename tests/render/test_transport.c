@@ -1,0 +1,172 @@
+/* Light transport against closed forms and against itself: no reference renderer needed. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <math.h>
+#include <string.h>
+
+#include "tests/render/render_kit.h"
+
+static void look(struct scene *s, double px, double py, double pz, double fov)
+{
+    const double at[3] = {px, py, pz};
+    memcpy(s->camera.position, at, sizeof at);
+    s->camera.fov = fov;
+}
+
+/* Albedo 1 in a sky of 1: nothing is created or lost, so each pixel is 1. */
+static void furnace(enum job_profile profile, double each, double mean)
+{
+    struct scene s;
+    scene_init(&s);
+    kit_sphere(&s, 0, 0, 0, 1, kit_diffuse(&s, 1, 1, 1));
+    kit_constant_sky(&s, 1);
+    look(&s, 0, 0, 3, 45);
+    struct job_spec spec = kit_spec(48, 64);
+    spec.profile = profile;
+    struct kit_picture p = kit_render(&s, &spec, 3);
+    double error = kit_picture_mean(&p) - 1;
+    assert_true(fabs(error) <= mean);
+    for (size_t i = 0; i < 48 * 48 * 3; i++)
+        assert_true(fabs(p.mean[i] - 1) <= each);
+    assert_int_equal(p.counters.nonfinite, 0);
+    kit_picture_free(&p);
+    scene_release(&s);
+}
+
+static void furnace_random_walk(void **state)
+{
+    (void)state;
+    furnace(JOB_PROFILE_RW, 1e-6, 1e-6);
+}
+
+static void furnace_mis(void **state)
+{
+    (void)state;
+    furnace(JOB_PROFILE_MIS, 0.3, 5e-3);
+}
+
+static void furnace_nee(void **state)
+{
+    (void)state;
+    furnace(JOB_PROFILE_NEE, 0.5, 5e-3);
+}
+
+/* Inside a sphere of albedo rho around a point light every point gets the same from every other:
+ * L = rho I / (pi R^2) (1 - rho^D) / (1 - rho) with D = max_depth - 1 reflections. */
+static void integrating_sphere(void **state)
+{
+    (void)state;
+    static const uint32_t depths[] = {2, 3, 5, 12, 65};
+    static const double radii[] = {1e-6, 1, 1e6};
+    for (size_t i = 0; i < 15; i++) {
+        double rho = 0.7, radius = radii[i % 3];
+        uint32_t depth = depths[i / 3];
+        struct scene s;
+        scene_init(&s);
+        struct scene_material *m;
+        uint32_t material = kit_material(&s, SCENE_MATERIAL_DIFFUSE, &m);
+        m->color[0] = m->color[1] = m->color[2] = rho;
+        m->twosided = true;
+        kit_sphere(&s, 0, 0, 0, radius, material);
+        kit_light(&s, SCENE_LIGHT_POINT);
+        look(&s, 0, 0, 0.5 * radius, 90);
+        struct job_spec spec = kit_spec(8, 4);
+        spec.max_depth = depth;
+        spec.rr_threshold = 0;
+        double power = 1;
+        for (uint32_t k = 1; k < depth; k++)
+            power *= rho;
+        double expected = rho / (3.14159265358979323846 * radius * radius) * (1 - power) / (1 - rho);
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        for (size_t k = 0; k < 8 * 8 * 3; k++)
+            assert_true(fabs(p.mean[k] / expected - 1) <= 1e-6);
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
+}
+
+/* Mean of the picture and the variance of that mean, from 8 seeds. */
+static void estimate(const struct scene *s, struct job_spec spec, double *mean, double *variance)
+{
+    enum { SEEDS = 8 };
+    double sum = 0, sum2 = 0;
+    for (uint64_t seed = 1; seed <= SEEDS; seed++) {
+        spec.seed = seed;
+        struct kit_picture p = kit_render(s, &spec, 0);
+        assert_int_equal(p.counters.nonfinite, 0);
+        double v = kit_picture_mean(&p);
+        sum += v;
+        sum2 += v * v;
+        kit_picture_free(&p);
+    }
+    *mean = sum / SEEDS;
+    *variance = (sum2 / SEEDS - *mean * *mean) / (SEEDS - 1);
+}
+
+/* The three profiles, with and without roulette, estimate the same light. */
+static void assert_profiles_agree(const struct scene *s, uint64_t spp)
+{
+    double mean[3], variance[3];
+    for (int k = 0; k < 3; k++) {
+        struct job_spec spec = kit_spec(24, spp);
+        spec.profile = (enum job_profile)k;
+        spec.rr_threshold = k == 0 ? 0.5 : 0;
+        estimate(s, spec, &mean[k], &variance[k]);
+        assert_true(mean[k] > 0);
+    }
+    for (int k = 1; k < 3; k++) {
+        double z = (mean[k] - mean[0]) / sqrt(variance[k] + variance[0]);
+        assert_true(fabs(z) < 5);
+    }
+}
+
+static void profiles_agree_in_the_box(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_cornell(&s, KIT_BOXES | KIT_AREA_LIGHT);
+    assert_profiles_agree(&s, 64);
+    scene_release(&s);
+}
+
+/* A rough conductor under a small sphere light, a large one and a sky. */
+static void profiles_agree_on_metal(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    static const double plate[12] = {-2, -1, 2, 2, -1, 2, 2, -1, -2, -2, -1, -2};
+    struct scene_material *m;
+    uint32_t metal = kit_material(&s, SCENE_MATERIAL_ROUGH_CONDUCTOR, &m);
+    m->alpha_x = 0.3;
+    m->alpha_y = 0.15;
+    static const double eta[3] = {0.2, 0.92, 1.1}, k[3] = {3.9, 2.45, 2.14};
+    memcpy(m->etaT, eta, sizeof eta);
+    memcpy(m->k, k, sizeof k);
+    kit_quad(&s, plate, metal);
+    kit_emit(&s, kit_sphere(&s, -1, 0.5, -1, 0.2, SCENE_NONE), 20, 10, 5);
+    kit_emit(&s, kit_sphere(&s, 1, 0.5, -1, 0.8, SCENE_NONE), 1, 2, 3);
+    kit_constant_sky(&s, 0.2);
+    look(&s, 0, 1, 5, 45);
+    assert_profiles_agree(&s, 128);
+    scene_release(&s);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(furnace_random_walk),
+        cmocka_unit_test(furnace_mis),
+        cmocka_unit_test(furnace_nee),
+        cmocka_unit_test(integrating_sphere),
+        cmocka_unit_test(profiles_agree_in_the_box),
+        cmocka_unit_test(profiles_agree_on_metal),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
