@@ -1,0 +1,392 @@
+#include "worker/render/accel.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "common/mem.h"
+#include "worker/render/accel_parts.h"
+#include "worker/render/trace_exact.h"
+
+/* --- Boxes ---------------------------------------------------------------- */
+
+/* The nearest float not above, and not below. */
+static float round_down(double x)
+{
+    float f = (float)x;
+    return (double)f > x ? f - fabsf(f) * 0x1p-23f - 0x1p-149f : f;
+}
+
+static float round_up(double x)
+{
+    return -round_down(-x);
+}
+
+static void triangle_vertices(const struct accel_mesh *m, uint32_t triangle, float v[3][3])
+{
+    for (size_t i = 0; i < 3; i++) {
+        size_t vertex = m->indices[3 * (size_t)triangle + i];
+        memcpy(v[i], &m->positions[3 * vertex], sizeof v[i]);
+    }
+}
+
+static void triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out)
+{
+    float v[3][3];
+    triangle_vertices(m, triangle, v);
+    for (int k = 0; k < 3; k++) {
+        float low = v[0][k] < v[1][k] ? v[0][k] : v[1][k];
+        float high = v[0][k] < v[1][k] ? v[1][k] : v[0][k];
+        out->lo[k] = low < v[2][k] ? low : v[2][k];
+        out->hi[k] = high > v[2][k] ? high : v[2][k];
+    }
+}
+
+/* A sphere's box, widened by what rounding may move a hit near its silhouette. */
+static void sphere_ref(const struct accel_object *o, struct bvh_ref *out)
+{
+    for (int k = 0; k < 3; k++) {
+        double reach = o->radius * (1.0 + 0x1p-20);
+        out->lo[k] = round_down(o->center[k] - reach);
+        out->hi[k] = round_up(o->center[k] + reach);
+    }
+}
+
+/* An instance's box: the corners of its mesh's box, moved. A transform so lopsided that
+ * going there and back could leave the padded box is given all of space. */
+static void instance_ref(const struct accel_object *o, const struct bvh *mesh, struct bvh_ref *out)
+{
+    const double condition_max = 0x1p18;
+    double condition = 0.0;
+    for (int k = 0; k < 3; k++) {
+        const double *row = &o->to_scene[4 * k];
+        double low = row[3], high = row[3], size = fabs(row[3]), spread = 0.0;
+        for (int j = 0; j < 3; j++) {
+            double a = row[j] * (double)mesh->lo[j], b = row[j] * (double)mesh->hi[j];
+            low += exact_min(a, b);
+            high += exact_max(a, b);
+            size += exact_max(fabs(a), fabs(b));
+            for (int i = 0; i < 3; i++)
+                spread += fabs(row[j]) * fabs(o->from_scene[4 * j + i]);
+        }
+        condition = exact_max(condition, spread);
+        out->lo[k] = round_down(low - 0x1p-40 * size);
+        out->hi[k] = round_up(high + 0x1p-40 * size);
+    }
+    if (condition <= condition_max)
+        return;
+    for (int k = 0; k < 3; k++) {
+        out->lo[k] = -0x1p100f;
+        out->hi[k] = 0x1p100f;
+    }
+}
+
+/* --- Building ------------------------------------------------------------- */
+
+static void scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][3])
+{
+    const struct accel *a = ctx;
+    const struct accel_object *o = &a->objects[ref->owner];
+    triangle_vertices(&a->meshes[o->mesh], ref->primitive - a->triangle_first[ref->owner], out);
+}
+
+static void mesh_vertices(void *ctx, const struct bvh_ref *ref, float out[3][3])
+{
+    const struct accel *a = ctx;
+    triangle_vertices(&a->meshes[ref->owner], ref->primitive, out);
+}
+
+static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct accel_runner *runner)
+{
+    const struct accel_mesh *m = &a->meshes[mesh];
+    struct bvh_ref *refs = mem_alloc_array(m->triangle_count, sizeof *refs);
+    if (!refs)
+        return ERR_NOMEM;
+    for (uint32_t i = 0; i < m->triangle_count; i++) {
+        triangle_ref(m, i, &refs[i]);
+        refs[i].primitive = i;
+        refs[i].owner = mesh;
+    }
+    enum err err = bvh_new(refs, m->triangle_count, a->options.builder == JOB_BUILDER_MEDIAN,
+                           runner, mesh_vertices, a, &a->mesh_trees[mesh]);
+    mem_free(refs);
+    return err;
+}
+
+static size_t object_refs(const struct accel *a, uint32_t number, struct bvh_ref *refs)
+{
+    const struct accel_object *o = &a->objects[number];
+    if (o->type == ACCEL_TRIANGLES) {
+        const struct accel_mesh *m = &a->meshes[o->mesh];
+        for (uint32_t i = 0; i < m->triangle_count; i++) {
+            triangle_ref(m, i, &refs[i]);
+            refs[i].primitive = a->triangle_first[number] + i;
+            refs[i].owner = number;
+        }
+        return m->triangle_count;
+    }
+    if (o->type == ACCEL_SPHERE)
+        sphere_ref(o, refs);
+    else if (a->meshes[o->mesh].triangle_count)
+        instance_ref(o, &a->mesh_trees[o->mesh], refs);
+    else
+        return 0;
+    refs->primitive = BVH_REF_OBJECT | number;
+    refs->owner = number;
+    return 1;
+}
+
+static enum err scene_tree_build(struct accel *a, const struct accel_runner *runner)
+{
+    size_t limit = a->triangle_first[a->object_count] + a->object_count, count = 0;
+    struct bvh_ref *refs = mem_alloc_array(limit, sizeof *refs);
+    if (!refs)
+        return ERR_NOMEM;
+    for (uint32_t i = 0; i < a->object_count; i++)
+        count += object_refs(a, i, &refs[count]);
+    enum err err = bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner,
+                           scene_vertices, a, &a->scene_tree);
+    mem_free(refs);
+    return err;
+}
+
+static enum err trees_build(struct accel *a, const struct accel_runner *runner)
+{
+    for (uint32_t i = 0; i < a->object_count; i++) {
+        const struct accel_object *o = &a->objects[i];
+        if (o->type == ACCEL_INSTANCE && !a->mesh_trees[o->mesh].arena)
+            TL_TRY(mesh_tree_build(a, o->mesh, runner));
+    }
+    return scene_tree_build(a, runner);
+}
+
+/* Numbers the triangles of plain objects; ERR_LIMIT when there are too many. */
+static enum err number_triangles(struct accel *a)
+{
+    uint64_t next = 0;
+    for (size_t i = 0; i < a->object_count; i++) {
+        const struct accel_object *o = &a->objects[i];
+        a->triangle_first[i] = (uint32_t)next;
+        a->stats.sphere_count += o->type == ACCEL_SPHERE;
+        a->stats.instance_count += o->type == ACCEL_INSTANCE;
+        if (o->type == ACCEL_TRIANGLES)
+            next += a->meshes[o->mesh].triangle_count;
+        if (next > BVH_PRIMITIVES_MAX)
+            return ERR_LIMIT;
+    }
+    a->triangle_first[a->object_count] = (uint32_t)next;
+    a->stats.triangle_count = next;
+    return ERR_OK;
+}
+
+static void count_tree(struct accel *a, const struct bvh *b)
+{
+    a->stats.node_count += b->node_count;
+    a->stats.leaf_count += b->leaf_count;
+    a->stats.bytes += b->bytes;
+    if (b->depth_max > a->stats.depth_max)
+        a->stats.depth_max = b->depth_max;
+}
+
+static enum err copy_input(struct accel *a, const struct accel_input *input)
+{
+    a->mesh_count = input->mesh_count;
+    a->object_count = input->object_count;
+    a->meshes = mem_alloc_array(input->mesh_count, sizeof *a->meshes);
+    a->objects = mem_alloc_array(input->object_count, sizeof *a->objects);
+    a->triangle_first = mem_calloc(input->object_count + 1, sizeof *a->triangle_first);
+    a->mesh_trees = mem_calloc(input->mesh_count, sizeof *a->mesh_trees);
+    if (!a->meshes || !a->objects || !a->triangle_first || !a->mesh_trees)
+        return ERR_NOMEM;
+    if (input->mesh_count)
+        memcpy(a->meshes, input->meshes, input->mesh_count * sizeof *a->meshes);
+    if (input->object_count)
+        memcpy(a->objects, input->objects, input->object_count * sizeof *a->objects);
+    for (size_t i = 0; i < input->mesh_count; i++)
+        a->mesh_trees[i].root = BVH_EMPTY;
+    return ERR_OK;
+}
+
+static enum err build(struct accel *a, const struct accel_input *input,
+                      const struct accel_runner *runner)
+{
+    a->scene_tree.root = BVH_EMPTY;
+    TL_TRY(copy_input(a, input));
+    TL_TRY(number_triangles(a));
+    if (a->options.builder != JOB_BUILDER_NONE)
+        TL_TRY(trees_build(a, runner));
+    count_tree(a, &a->scene_tree);
+    a->stats.sah_cost = a->scene_tree.sah_cost;
+    for (size_t i = 0; i < a->mesh_count; i++)
+        count_tree(a, &a->mesh_trees[i]);
+    return ERR_OK;
+}
+
+enum err accel_new(const struct accel_input *input, const struct accel_options *options,
+                   const struct accel_runner *runner, struct accel **out)
+{
+    struct accel *a = mem_calloc(1, sizeof *a);
+    if (!a)
+        return ERR_NOMEM;
+    a->options = *options;
+    a->kernel = &trace_plain;
+    enum err err = build(a, input, runner);
+    if (err)
+        accel_free(a);
+    else
+        *out = a;
+    return err;
+}
+
+void accel_free(struct accel *a)
+{
+    if (!a)
+        return;
+    bvh_release(&a->scene_tree);
+    for (size_t i = 0; a->mesh_trees && i < a->mesh_count; i++)
+        bvh_release(&a->mesh_trees[i]);
+    mem_free(a->mesh_trees);
+    mem_free(a->triangle_first);
+    mem_free(a->objects);
+    mem_free(a->meshes);
+    mem_free(a);
+}
+
+void accel_stats_get(const struct accel *a, struct accel_stats *out)
+{
+    *out = a->stats;
+}
+
+/* --- Rays and hits -------------------------------------------------------- */
+
+bool accel_ray(const struct accel *a, const struct ray *ray, struct trace_ray *out, double *tmin,
+               double *tmax)
+{
+    double dir[3], scale;
+    if (!isfinite(ray->org[0]) || !isfinite(ray->org[1]) || !isfinite(ray->org[2]))
+        return false;
+    if (!(ray->tmin < ray->tmax) || !trace_scale(ray->dir, dir, &scale))
+        return false;
+    trace_ray_init(ray->org, dir, scale, a->scene_tree.reach, out);
+    *tmin = ray->tmin / scale;
+    *tmax = ray->tmax / scale;
+    return true;
+}
+
+static void transform_point(const double m[12], const double p[3], double out[3])
+{
+    for (int k = 0; k < 3; k++)
+        out[k] = ((m[4 * k] * p[0] + m[4 * k + 1] * p[1]) + m[4 * k + 2] * p[2]) + m[4 * k + 3];
+}
+
+static void transform_vector(const double m[12], const double v[3], double out[3])
+{
+    for (int k = 0; k < 3; k++)
+        out[k] = (m[4 * k] * v[0] + m[4 * k + 1] * v[1]) + m[4 * k + 2] * v[2];
+}
+
+bool accel_instance_ray(const struct accel *a, uint32_t object, const struct trace_ray *ray,
+                        struct trace_ray *out, double *rescale)
+{
+    const struct accel_object *o = &a->objects[object];
+    double org[3], moved[3], dir[3];
+    transform_point(o->from_scene, ray->org, org);
+    transform_vector(o->from_scene, ray->dir, moved);
+    if (!isfinite(org[0]) || !isfinite(org[1]) || !isfinite(org[2]) ||
+        !trace_scale(moved, dir, rescale))
+        return false;
+    trace_ray_init(org, dir, ray->scale * *rescale, a->mesh_trees[o->mesh].reach, out);
+    return true;
+}
+
+static void cross(const double a[3], const double b[3], double out[3])
+{
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* `ray` is in the space of the vertices. */
+static void triangle_hit(const struct accel *a, const struct trace_ray *ray, const float v[3][3],
+                         struct hit *out)
+{
+    double e1[3], e2[3], t;
+    for (int k = 0; k < 3; k++) {
+        e1[k] = (double)v[1][k] - (double)v[0][k];
+        e2[k] = (double)v[2][k] - (double)v[0][k];
+    }
+    const struct accel_object *o = &a->objects[out->object];
+    if (o->type == ACCEL_INSTANCE) {
+        double local1[3], local2[3];
+        memcpy(local1, e1, sizeof e1);
+        memcpy(local2, e2, sizeof e2);
+        transform_vector(o->to_scene, local1, e1);
+        transform_vector(o->to_scene, local2, e2);
+    }
+    cross(e1, e2, out->ng);
+    if (a->options.intersector == JOB_INTERSECTOR_MOLLER_TRUMBORE) {
+        bool hit = exact_moller_trumbore(ray, v, &t, &out->b1, &out->b2);
+        TL_DASSERT(hit);
+        (void)hit;
+        return;
+    }
+    struct exact_edges e;
+    exact_edges_of(ray, v, &e);
+    out->b1 = e.v / e.det;
+    out->b2 = e.w / e.det;
+}
+
+void accel_hit(const struct accel *a, const struct trace_ray *ray, const struct trace_best *best,
+               struct hit *out)
+{
+    out->t = best->t * ray->scale;
+    out->object = best->object;
+    out->primitive = best->primitive;
+    if (best->object == SCENE_NONE) {
+        out->object = accel_triangle_object(a, best->primitive);
+        out->primitive = best->primitive - a->triangle_first[out->object];
+    }
+    const struct accel_object *o = &a->objects[out->object];
+    if (o->type == ACCEL_SPHERE) {
+        out->b1 = out->b2 = 0.0;
+        for (int k = 0; k < 3; k++)
+            out->ng[k] = (ray->org[k] - o->center[k]) + best->t * ray->dir[k];
+        return;
+    }
+    float v[3][3];
+    triangle_vertices(&a->meshes[o->mesh], out->primitive, v);
+    struct trace_ray inner;
+    double rescale;
+    if (o->type == ACCEL_INSTANCE && accel_instance_ray(a, out->object, ray, &inner, &rescale))
+        triangle_hit(a, &inner, v, out);
+    else
+        triangle_hit(a, ray, v, out);
+}
+
+/* --- Queries -------------------------------------------------------------- */
+
+void accel_closest(const struct accel *a, const struct ray *ray, struct hit *out)
+{
+    a->kernel->closest(a, ray, out);
+}
+
+bool accel_occluded(const struct accel *a, const struct ray *ray)
+{
+    return a->kernel->occluded(a, ray);
+}
+
+void accel_closest_batch(const struct accel *a, const struct ray *rays, size_t count,
+                         struct hit *hits)
+{
+    a->kernel->closest_batch(a, rays, count, hits);
+}
+
+void accel_occluded_batch(const struct accel *a, const struct ray *rays, size_t count,
+                          uint8_t *occluded)
+{
+    a->kernel->occluded_batch(a, rays, count, occluded);
+}
+
+const char *accel_isa_name(const struct accel *a)
+{
+    return a->kernel->name;
+}

@@ -1,0 +1,90 @@
+/* worker/render/accel_parts.h: what an accel is made of, for the kernels.
+ *
+ * One tree holds the triangles of all plain objects, the spheres and the instances;
+ * every instanced mesh has a tree of its own in mesh space. Triangles of the scene's
+ * tree are numbered through all objects in order, so that the order of their numbers
+ * is the order of (object, primitive).
+ */
+#ifndef WORKER_RENDER_ACCEL_PARTS_H
+#define WORKER_RENDER_ACCEL_PARTS_H
+
+#include "common/scene.h"
+#include "worker/render/trace.h"
+
+/* What a kernel answers in: rays of the caller, validated inside. */
+struct trace_kernel {
+    const char *name;
+    void (*closest)(const struct accel *a, const struct ray *ray, struct hit *out);
+    bool (*occluded)(const struct accel *a, const struct ray *ray);
+    void (*closest_batch)(const struct accel *a, const struct ray *rays, size_t count,
+                          struct hit *hits);
+    void (*occluded_batch)(const struct accel *a, const struct ray *rays, size_t count,
+                           uint8_t *occluded);
+};
+
+extern const struct trace_kernel trace_plain;
+
+struct accel {
+    const struct trace_kernel *kernel;
+    struct accel_options options;
+    struct accel_mesh *meshes; /* copies of the input's arrays */
+    struct accel_object *objects;
+    size_t mesh_count, object_count;
+    uint32_t *triangle_first; /* object_count + 1: first number of an object's triangles */
+    struct bvh scene_tree;
+    struct bvh *mesh_trees; /* mesh_count; empty unless instanced */
+    struct accel_stats stats;
+};
+
+/* The object whose triangle has this number in the scene's tree. */
+static inline uint32_t accel_triangle_object(const struct accel *a, uint32_t number)
+{
+    size_t low = 0, high = a->object_count;
+    while (high - low > 1) {
+        size_t middle = low + (high - low) / 2;
+        if (a->triangle_first[middle] <= number)
+            low = middle;
+        else
+            high = middle;
+    }
+    return (uint32_t)low;
+}
+
+/* Does (object, primitive) of a hit at the same t come before the best one's? */
+static inline bool accel_before(const struct accel *a, uint32_t object, uint32_t primitive,
+                                const struct trace_best *best)
+{
+    uint32_t objects[2] = {object, best->object}, primitives[2] = {primitive, best->primitive};
+    for (int i = 0; i < 2; i++) {
+        if (objects[i] == SCENE_NONE) {
+            objects[i] = accel_triangle_object(a, primitives[i]);
+            primitives[i] -= a->triangle_first[objects[i]];
+        }
+    }
+    return objects[0] < objects[1] || (objects[0] == objects[1] && primitives[0] < primitives[1]);
+}
+
+/* Takes a hit if it is nearer than the best, or as near and earlier in order. */
+static inline void accel_offer(const struct accel *a, double t, double tmin, uint32_t object,
+                               uint32_t primitive, struct trace_best *best)
+{
+    if (!(t > tmin && t <= best->t))
+        return;
+    if (t == best->t && !(best->found && accel_before(a, object, primitive, best)))
+        return;
+    *best = (struct trace_best){t, object, primitive, true};
+}
+
+/* Moves a ray into an instance's space; false when nothing can be hit there. */
+bool accel_instance_ray(const struct accel *a, uint32_t object, const struct trace_ray *ray,
+                        struct trace_ray *out, double *rescale);
+
+/* The caller's ray, made ready; false when it hits nothing by definition. */
+bool accel_ray(const struct accel *a, const struct ray *ray, struct trace_ray *out, double *tmin,
+               double *tmax);
+
+/* Fills in weights, normal and numbers of the best hit. */
+void accel_hit(const struct accel *a, const struct trace_ray *ray, const struct trace_best *best,
+               struct hit *out);
+
+#endif

@@ -1,0 +1,113 @@
+/* worker/render/bvh.h: the tree itself, eight children wide, and how it is built.
+ *
+ * A tree lies in one arena of 32-byte units. A reference (`uint32_t`) is the unit
+ * at which a thing starts, shifted left by BVH_KIND_BITS, with its kind below:
+ *
+ *   BVH_NODE    struct bvh_node, 224 bytes: the boxes of 8 children by axis
+ *   BVH_LEAF    struct bvh_leaf, 160 bytes: 4 triangles by vertex, axis and lane
+ *   BVH_OBJECT  no unit but the number of a sphere or an instance
+ *   BVH_EMPTY   a child slot not in use
+ *
+ * Boxes hold what they hold exactly (vertices are floats; all else was rounded
+ * outward): the error of float traversal is charged to the ray (trace.h). A leaf of
+ * fewer than four triangles repeats its last one, which changes no answer.
+ *
+ * Building: bvh2_build splits references into a binary tree whose leaves are
+ * blocks, on any number of threads with the same result; bvh_wide_build turns it
+ * into this one by dynamic programming (Ylitie, Karras, Laine, HPG 2017, 3.1). The
+ * tree's shape changes no hit. Thread: building uses the runner; read-only after.
+ */
+#ifndef WORKER_RENDER_BVH_H
+#define WORKER_RENDER_BVH_H
+
+#include "worker/render/accel.h"
+
+enum {
+    BVH_WIDTH = 8,
+    BVH_BLOCK = 4,      /* triangles of a leaf */
+    BVH_DEPTH_MAX = 64, /* of the binary tree, so of this one too */
+    BVH_STACK = (BVH_WIDTH - 1) * BVH_DEPTH_MAX + 1,
+    BVH_UNIT_BYTES = 32,
+    BVH_KIND_BITS = 2,
+    BVH_PRIMITIVES_MAX = 1 << 30,
+};
+
+enum bvh_kind { BVH_NODE, BVH_LEAF, BVH_OBJECT, BVH_EMPTY };
+
+struct bvh_node {
+    float bounds[6][BVH_WIDTH]; /* rows: x low, x high, y low, y high, z low, z high */
+    uint32_t child[BVH_WIDTH];
+};
+
+struct bvh_leaf {
+    float v[3][3][BVH_BLOCK]; /* vertex, axis, lane */
+    uint32_t id[BVH_BLOCK];   /* low 30 bits: triangle; the top bits of all four: edge code */
+};
+
+_Static_assert(sizeof(struct bvh_node) == 7 * BVH_UNIT_BYTES, "node layout");
+_Static_assert(sizeof(struct bvh_leaf) == 5 * BVH_UNIT_BYTES, "leaf layout");
+
+/* What is built over. `primitive` is a triangle's number within the tree, or with
+ * BVH_REF_OBJECT set the number of a sphere or an instance. `owner` is for the
+ * caller's vertex callback. */
+struct bvh_ref {
+    float lo[3];
+    uint32_t primitive;
+    float hi[3];
+    uint32_t owner;
+};
+#define BVH_REF_OBJECT UINT32_C(0x80000000)
+
+struct bvh {
+    unsigned char *arena; /* owned */
+    size_t bytes;
+    uint32_t root;      /* BVH_EMPTY kind when there is nothing */
+    float lo[3], hi[3]; /* of everything */
+    double reach;       /* largest |coordinate| of lo and hi */
+    float edge_unit;    /* the edge code's unit; see trace.h */
+    uint64_t node_count, leaf_count, depth_max;
+    double sah_cost;
+};
+
+/* Writes the nine coordinates of a triangle, [vertex][axis]. */
+typedef void (*bvh_vertices_fn)(void *ctx, const struct bvh_ref *ref, float out[3][3]);
+
+/* Builds over refs[0..count), which it reorders. `median`: split at the object median of the
+ * longest axis, else by the surface area heuristic. ERR_NOMEM; ERR_LIMIT: over
+ * BVH_PRIMITIVES_MAX or too large for the arena's references. */
+TL_NODISCARD enum err bvh_new(struct bvh_ref *refs, size_t count, bool median,
+                              const struct accel_runner *runner, bvh_vertices_fn vertices,
+                              void *ctx, struct bvh *out);
+void bvh_release(struct bvh *b);
+
+/* --- The binary tree between the two steps ------------------------------- */
+
+/* Depth first: a node's left child follows it. */
+struct bvh2_node {
+    float lo[3];
+    uint32_t first; /* leaf: first reference; else the right child */
+    float hi[3];
+    uint32_t count; /* leaf: 1..BVH_BLOCK references; else 0 */
+};
+
+TL_NODISCARD enum err bvh2_build(struct bvh_ref *refs, uint32_t count, bool median,
+                                 const struct accel_runner *runner, struct bvh2_node *nodes,
+                                 uint32_t *used);
+
+/* Nodes that bvh2_build may write for `count` references. */
+static inline size_t bvh2_node_limit(size_t count)
+{
+    return count ? 2 * count - 1 : 0;
+}
+
+static inline const struct bvh_node *bvh_node_at(const unsigned char *arena, uint32_t ref)
+{
+    return (const struct bvh_node *)(arena + (size_t)(ref >> BVH_KIND_BITS) * BVH_UNIT_BYTES);
+}
+
+static inline const struct bvh_leaf *bvh_leaf_at(const unsigned char *arena, uint32_t ref)
+{
+    return (const struct bvh_leaf *)(arena + (size_t)(ref >> BVH_KIND_BITS) * BVH_UNIT_BYTES);
+}
+
+#endif

@@ -1,0 +1,332 @@
+/* From the binary tree to the wide one: which binary nodes become wide nodes is
+ * chosen by dynamic programming over the surface area cost. */
+#include "worker/render/bvh.h"
+
+#include <string.h>
+
+#include "common/mem.h"
+
+/* Cost of a box test of eight children, and of a block of triangles, per unit of area. */
+static const float NODE_COST = 1.0f, LEAF_COST = 1.0f;
+
+/* Of a binary node: the least cost of its subtree when it may take up 1..8 child slots,
+ * and how D(i), i slots shared by both children, is shared. */
+struct choice {
+    float cost[BVH_WIDTH];
+    uint8_t left[BVH_WIDTH]; /* slots of the left child when both share i + 1; 0: as with fewer */
+};
+
+/* A wide node to be written. */
+struct plan {
+    uint32_t child[BVH_WIDTH];  /* binary nodes */
+    uint32_t offset[BVH_WIDTH]; /* references in the arena */
+    uint32_t unit, count, depth;
+};
+
+static float half_area(const struct bvh2_node *n)
+{
+    float x = n->hi[0] - n->lo[0], y = n->hi[1] - n->lo[1], z = n->hi[2] - n->lo[2];
+    return x * y + (y * z + z * x);
+}
+
+static void choose(const struct bvh2_node *node, const struct choice *left,
+                   const struct choice *right, struct choice *out)
+{
+    float shared[BVH_WIDTH];
+    uint8_t best[BVH_WIDTH] = {0};
+    for (int slots = 2; slots <= BVH_WIDTH; slots++) {
+        float least = __FLT_MAX__;
+        for (int l = 1; l < slots; l++) {
+            float cost = left->cost[l - 1] + right->cost[slots - l - 1];
+            if (cost < least || l == 1) {
+                least = cost;
+                best[slots - 1] = (uint8_t)l;
+            }
+        }
+        shared[slots - 1] = least;
+    }
+    out->cost[0] = half_area(node) * NODE_COST + shared[BVH_WIDTH - 1];
+    out->left[0] = best[BVH_WIDTH - 1];
+    for (int i = 1; i < BVH_WIDTH; i++) {
+        bool better = shared[i] < out->cost[i - 1];
+        out->cost[i] = better ? shared[i] : out->cost[i - 1];
+        out->left[i] = better ? best[i] : 0;
+    }
+}
+
+/* Children come after their parent, so going backwards meets them first. */
+static void choose_all(const struct bvh2_node *nodes, uint32_t count, struct choice *choices)
+{
+    for (uint32_t i = count; i-- > 0;) {
+        if (nodes[i].count) {
+            float cost = half_area(&nodes[i]) * LEAF_COST;
+            for (int k = 0; k < BVH_WIDTH; k++)
+                choices[i].cost[k] = cost;
+        } else {
+            choose(&nodes[i], &choices[i + 1], &choices[nodes[i].first], &choices[i]);
+        }
+    }
+}
+
+/* Lists the binary nodes that fill the slots of the wide node made of `root`. */
+static void plan_children(const struct bvh2_node *nodes, const struct choice *choices,
+                          uint32_t root, struct plan *plan)
+{
+    struct {
+        uint32_t node, slots;
+    } stack[BVH_WIDTH + 1];
+    int top = 0;
+    uint32_t left = choices[root].left[0];
+    plan->count = 0;
+    stack[top].node = nodes[root].first;
+    stack[top++].slots = BVH_WIDTH - left;
+    stack[top].node = root + 1;
+    stack[top++].slots = left;
+    while (top > 0) {
+        uint32_t node = stack[--top].node, slots = stack[top].slots;
+        if (!nodes[node].count)
+            while (slots > 1 && choices[node].left[slots - 1] == 0)
+                slots--;
+        if (nodes[node].count || slots == 1) {
+            plan->child[plan->count++] = node;
+            continue;
+        }
+        left = choices[node].left[slots - 1];
+        stack[top].node = nodes[node].first;
+        stack[top++].slots = slots - left;
+        stack[top].node = node + 1;
+        stack[top++].slots = left;
+    }
+}
+
+struct planner {
+    const struct bvh2_node *nodes;
+    const struct bvh_ref *refs;
+    const struct choice *choices;
+    struct plan *plans;
+    size_t count, capacity;
+    uint64_t units;
+};
+
+/* Gives leaves their place right behind the node, and nodes theirs when they are planned. */
+static enum err plan_node(struct planner *p, uint32_t root, uint32_t depth, size_t *out)
+{
+    if (!mem_grow((void **)&p->plans, p->count, &p->capacity, sizeof *p->plans))
+        return ERR_NOMEM;
+    struct plan *plan = &p->plans[p->count];
+    *out = p->count++;
+    plan->unit = (uint32_t)p->units;
+    plan->depth = depth;
+    p->units += sizeof(struct bvh_node) / BVH_UNIT_BYTES;
+    if (p->nodes[root].count) { /* a tree of a single leaf still has a node */
+        plan->child[0] = root;
+        plan->count = 1;
+    } else {
+        plan_children(p->nodes, p->choices, root, plan);
+    }
+    for (uint32_t i = 0; i < plan->count; i++) {
+        const struct bvh2_node *child = &p->nodes[plan->child[i]];
+        if (!child->count)
+            continue;
+        uint32_t primitive = p->refs[child->first].primitive;
+        if (primitive & BVH_REF_OBJECT) {
+            plan->offset[i] = (primitive & ~BVH_REF_OBJECT) << BVH_KIND_BITS | BVH_OBJECT;
+        } else {
+            plan->offset[i] = (uint32_t)p->units << BVH_KIND_BITS | BVH_LEAF;
+            p->units += sizeof(struct bvh_leaf) / BVH_UNIT_BYTES;
+        }
+    }
+    return p->units >> (32 - BVH_KIND_BITS) ? ERR_LIMIT : ERR_OK;
+}
+
+/* Depth first, so that what is near in space is near in memory. */
+static enum err plan_all(struct planner *p)
+{
+    struct {
+        size_t plan;
+        uint32_t next;
+    } stack[BVH_DEPTH_MAX + 1];
+    int top = 0;
+    TL_TRY(plan_node(p, 0, 1, &stack[0].plan));
+    stack[top++].next = 0;
+    while (top > 0) {
+        size_t at = stack[top - 1].plan;
+        uint32_t slot = stack[top - 1].next++;
+        if (slot == p->plans[at].count) {
+            top--;
+            continue;
+        }
+        if (p->nodes[p->plans[at].child[slot]].count)
+            continue;
+        size_t made = 0;
+        TL_TRY(plan_node(p, p->plans[at].child[slot], p->plans[at].depth + 1, &made));
+        p->plans[at].offset[slot] = p->plans[made].unit << BVH_KIND_BITS | BVH_NODE;
+        stack[top].plan = made;
+        stack[top++].next = 0;
+    }
+    return ERR_OK;
+}
+
+struct writer {
+    const struct planner *planner;
+    struct bvh *out;
+    bvh_vertices_fn vertices;
+    void *ctx;
+    uint32_t edge_bits; /* of edge_unit */
+};
+
+enum { EDGE_CODES = 256, EDGE_SHIFT = 20 /* three bits of mantissa */ };
+
+static float float_of(uint32_t bits)
+{
+    float f;
+    memcpy(&f, &bits, sizeof f);
+    return f;
+}
+
+static uint32_t bits_of(float f)
+{
+    uint32_t bits;
+    memcpy(&bits, &f, sizeof bits);
+    return bits;
+}
+
+/* The least code whose value is at least the largest extent of the triangles. */
+static uint32_t edge_code(const struct bvh_ref *refs, uint32_t count, uint32_t unit_bits)
+{
+    float edge = 0.0f;
+    for (uint32_t i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) {
+            float extent = refs[i].hi[k] - refs[i].lo[k];
+            edge = extent > edge ? extent : edge;
+        }
+    uint32_t bits = bits_of(edge * (1.0f + 0x1p-22f));
+    if (bits <= unit_bits)
+        return 0;
+    uint32_t code = (bits - unit_bits + (1u << EDGE_SHIFT) - 1) >> EDGE_SHIFT;
+    return code < EDGE_CODES ? code : EDGE_CODES - 1;
+}
+
+static void write_leaf(const struct writer *w, const struct bvh2_node *from, struct bvh_leaf *leaf)
+{
+    const struct bvh_ref *refs = &w->planner->refs[from->first];
+    uint32_t code = edge_code(refs, from->count, w->edge_bits);
+    for (uint32_t lane = 0; lane < BVH_BLOCK; lane++) {
+        const struct bvh_ref *ref = &refs[lane < from->count ? lane : from->count - 1];
+        float v[3][3];
+        w->vertices(w->ctx, ref, v);
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 3; k++)
+                leaf->v[i][k][lane] = v[i][k];
+        leaf->id[lane] = ref->primitive | (code >> lane & 1) << 31 | (code >> (4 + lane) & 1) << 30;
+    }
+}
+
+static void write_node(const struct writer *w, const struct plan *plan)
+{
+    struct bvh_node *node =
+        (struct bvh_node *)(w->out->arena + (size_t)plan->unit * BVH_UNIT_BYTES);
+    for (uint32_t i = 0; i < BVH_WIDTH; i++) {
+        bool used = i < plan->count;
+        const struct bvh2_node *child = used ? &w->planner->nodes[plan->child[i]] : NULL;
+        for (int k = 0; k < 3; k++) {
+            node->bounds[2 * k][i] = used ? child->lo[k] : __builtin_inff();
+            node->bounds[2 * k + 1][i] = used ? child->hi[k] : -__builtin_inff();
+        }
+        node->child[i] = used ? plan->offset[i] : BVH_EMPTY;
+        if (used && child->count && (plan->offset[i] & 3) == BVH_LEAF)
+            write_leaf(w, child, (struct bvh_leaf *)bvh_leaf_at(w->out->arena, plan->offset[i]));
+    }
+}
+
+static void measure(const struct planner *p, struct bvh *out)
+{
+    double root = (double)half_area(&p->nodes[0]), sum = 0.0;
+    out->node_count = p->count;
+    for (size_t i = 0; i < p->count; i++) {
+        const struct plan *plan = &p->plans[i];
+        out->depth_max = plan->depth > out->depth_max ? plan->depth : out->depth_max;
+        for (uint32_t c = 0; c < plan->count; c++) {
+            sum += (double)half_area(&p->nodes[plan->child[c]]);
+            out->leaf_count += p->nodes[plan->child[c]].count != 0;
+        }
+    }
+    out->sah_cost = root > 0.0 ? (root + sum) / root : 0.0;
+    for (int k = 0; k < 3; k++) {
+        out->lo[k] = p->nodes[0].lo[k];
+        out->hi[k] = p->nodes[0].hi[k];
+        double low = __builtin_fabs((double)out->lo[k]), high = __builtin_fabs((double)out->hi[k]);
+        out->reach = low > out->reach ? low : out->reach;
+        out->reach = high > out->reach ? high : out->reach;
+    }
+}
+
+/* The unit of the edge code: its largest code covers the largest extent of all. */
+static uint32_t edge_unit_bits(const struct bvh2_node *root)
+{
+    const uint32_t smallest = 0x00800000, span = (uint32_t)(EDGE_CODES - 1) << EDGE_SHIFT;
+    float edge = 0.0f;
+    for (int k = 0; k < 3; k++) {
+        float extent = root->hi[k] - root->lo[k];
+        edge = extent > edge ? extent : edge;
+    }
+    uint32_t bits = bits_of(edge * (1.0f + 0x1p-21f));
+    return bits > span + smallest ? bits - span : smallest;
+}
+
+static enum err wide_build(const struct bvh_ref *refs, const struct bvh2_node *nodes,
+                           uint32_t node_limit, bvh_vertices_fn vertices, void *ctx,
+                           struct bvh *out)
+{
+    enum err err = ERR_NOMEM;
+    struct planner p = {nodes, refs, NULL, NULL, 0, 0, 0};
+    struct choice *choices = mem_alloc_array(node_limit, sizeof *choices);
+    if (!choices)
+        goto done;
+    choose_all(nodes, node_limit, choices);
+    p.choices = choices;
+    err = plan_all(&p);
+    if (err)
+        goto done;
+    out->bytes = (size_t)p.units * BVH_UNIT_BYTES;
+    out->arena = mem_alloc_aligned(out->bytes, 64);
+    err = out->arena ? ERR_OK : ERR_NOMEM;
+    if (err)
+        goto done;
+    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(&nodes[0])};
+    for (size_t i = 0; i < p.count; i++)
+        write_node(&w, &p.plans[i]);
+    out->root = 0 << BVH_KIND_BITS | BVH_NODE;
+    out->edge_unit = float_of(w.edge_bits);
+    measure(&p, out);
+done:
+    mem_free(choices);
+    mem_free(p.plans);
+    return err;
+}
+
+enum err bvh_new(struct bvh_ref *refs, size_t count, bool median, const struct accel_runner *runner,
+                 bvh_vertices_fn vertices, void *ctx, struct bvh *out)
+{
+    *out = (struct bvh){.root = BVH_EMPTY};
+    if (count > BVH_PRIMITIVES_MAX)
+        return ERR_LIMIT;
+    if (count == 0)
+        return ERR_OK;
+    size_t limit = bvh2_node_limit(count);
+    struct bvh2_node *nodes = mem_alloc_array(limit, sizeof *nodes);
+    if (!nodes)
+        return ERR_NOMEM;
+    uint32_t used = 0;
+    enum err err = bvh2_build(refs, (uint32_t)count, median, runner, nodes, &used);
+    if (!err)
+        err = wide_build(refs, nodes, used, vertices, ctx, out);
+    mem_free(nodes);
+    return err;
+}
+
+void bvh_release(struct bvh *b)
+{
+    mem_free(b->arena);
+    *b = (struct bvh){.root = BVH_EMPTY};
+}

@@ -1,0 +1,45 @@
+/* worker/render/trace.h: a ray made ready for a tree, and the kernels that walk it.
+ *
+ * Inside, a direction is scaled by a power of two so that its largest component is
+ * in [1, 2); t is scaled to match, exactly. The float side of a ray carries the error
+ * of float traversal: with u = 2^-24, R = |org|max + reach, each slab of a box is
+ * widened by 8 u R, which covers the roundings of the origin, the reciprocal, the
+ * products and sums, with or without fma, and of t (docs/TRACING.md derives it). A
+ * box is culled only if the widened, rounded interval is empty or starts strictly
+ * behind the best hit; an operand that is not a number never culls.
+ *
+ * Thread: everything here lives on the caller's stack.
+ */
+#ifndef WORKER_RENDER_TRACE_H
+#define WORKER_RENDER_TRACE_H
+
+#include "worker/render/bvh.h"
+
+struct trace_ray {
+    double org[3], dir[3];
+    double shear[3];  /* Woop's Sx, Sy, Sz */
+    double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R */
+    double scale;     /* dir = caller's direction * scale; caller's t = t * scale */
+    uint32_t axis[3]; /* permuted: the largest component last */
+    uint32_t row[3];  /* row of bvh_node.bounds with the near planes; row ^ 1 has the far ones */
+    float near_offset[3], far_offset[3], inverse[3]; /* t = plane * inverse - offset */
+};
+
+/* The best hit so far. `object` is SCENE_NONE for a triangle of the scene's own tree,
+ * whose `primitive` then counts through all its objects. */
+struct trace_best {
+    double t;
+    uint32_t object, primitive;
+    bool found;
+};
+
+struct trace_scene; /* accel_parts.h */
+
+/* Scales a direction; false if it is zero or not finite. */
+bool trace_scale(const double dir[3], double scaled[3], double *scale);
+
+/* `dir` already scaled by `scale`; `reach` is the tree's. */
+void trace_ray_init(const double org[3], const double dir[3], double scale, double reach,
+                    struct trace_ray *out);
+
+#endif
