@@ -55,6 +55,9 @@ TL_NODISCARD enum err transport_new(struct uv_loop_s *loop, struct transport **o
  * from later turns of the loop; the transport frees itself after that. */
 void transport_close(struct transport *t, void (*done)(void *ctx), void *ctx);
 
+/* True for "HOST:PORT" and "[v6]:PORT", as conn_connect and listener_new take them. */
+bool transport_host_port_valid(const char *host_port);
+
 /* --- Connections ------------------------------------------------------------ */
 
 struct conn; /* opaque */

@@ -53,6 +53,12 @@ static bool split_host_port(const char *text, char host[HOST_BYTES], char port[P
     return number <= 65535;
 }
 
+bool transport_host_port_valid(const char *host_port)
+{
+    char host[HOST_BYTES], port[PORT_BYTES];
+    return split_host_port(host_port, host, port);
+}
+
 /* --- Connecting ----------------------------------------------------------------- */
 
 static void try_next_address(struct conn *c);

@@ -1,0 +1,76 @@
+/* worker/job_table.h: the jobs a worker has been told of, and their scenes.
+ *
+ * A job's scene is loaded when the job is announced, and again when a lease comes for
+ * a job whose scene was dropped. Scenes stay, beyond the end of their job and beyond a
+ * connection, until memory is wanted: over scene_bytes_max, those without
+ * leases go, ended jobs first, then the one used longest ago.
+ *
+ *   IDLE --> LOADING --> READY --> IDLE (dropped)
+ *              |
+ *              +-------> FAILED (told the master; a new JobInfo tries again)
+ *
+ * Thread: the loop's; render threads read grid, spec and scene of a job that is in use.
+ */
+#ifndef WORKER_JOB_TABLE_H
+#define WORKER_JOB_TABLE_H
+
+#include "common/grid.h"
+#include "worker/outlet.h"
+#include "worker/scene_loader.h"
+
+enum { JOBS_MAX = 1024 };
+
+enum worker_job_state { WORKER_JOB_IDLE, WORKER_JOB_LOADING, WORKER_JOB_READY, WORKER_JOB_FAILED };
+
+struct worker_job {
+    uint64_t id;
+    digest package;
+    digest spec_digest; /* of the spec's text */
+    struct job_spec spec;
+    struct grid grid;
+    struct job_blocks blocks;
+    enum worker_job_state state;
+    struct loaded_scene loaded; /* READY */
+    uint32_t users; /* leases that refer to it: it stays while there are any */
+    bool ended;     /* the master said so */
+    bool gone;      /* of another farm or replaced: no longer found, freed with its last user */
+    uint64_t used;  /* grows with each use */
+    TAILQ_ENTRY(worker_job) in_jobs;
+};
+
+struct job_table; /* opaque */
+
+struct job_table_handlers {
+    void (*ready)(void *ctx, struct worker_job *job);  /* READY now */
+    void (*failed)(void *ctx, struct worker_job *job); /* the master has been told */
+};
+
+TL_NODISCARD enum err job_table_new(struct pool *pool, struct chunk_cache *cache,
+                                    uint64_t scene_bytes_max, const struct outlet *outlet,
+                                    const struct job_table_handlers *handlers, void *ctx,
+                                    struct job_table **out);
+void job_table_free(struct job_table *t); /* after pool_close */
+
+/* NULL: never told of it, or ended. */
+struct worker_job *job_table_find(struct job_table *t, uint64_t id);
+
+/* A JobInfo: loads the scene, or says JobReady at once when it is there. ERR_LIMIT: too many jobs;
+ * ERR_NOMEM: the connection cannot go on. A spec that does not hold is told by JobFailed. */
+TL_NODISCARD enum err job_table_announce(struct job_table *t, const tilery_JobInfo *info);
+
+/* A JobEnd. */
+void job_table_end(struct job_table *t, struct worker_job *job);
+
+/* Leases hold their job while they live; taking one loads the scene if it was dropped. */
+void job_table_hold(struct job_table *t, struct worker_job *job);
+void job_table_release(struct job_table *t, struct worker_job *job);
+
+/* Another farm: all jobs are gone. */
+void job_table_forget(struct job_table *t);
+
+/* What is being loaded is not wanted any more (drain). */
+void job_table_stop_loading(struct job_table *t);
+
+struct scene_loader *job_table_loader(struct job_table *t);
+
+#endif

@@ -1,0 +1,359 @@
+/* worker/main.c: the program tilery-worker: reads its options, wires the parts, runs the loop. */
+#include <errno.h>
+#include <getopt.h>
+#include <inttypes.h>
+#include <sched.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include <uv.h>
+
+#include "common/determinism.h"
+#include "common/log.h"
+#include "proto/transport.h"
+#include "worker/render/render.h"
+#include "worker/session.h"
+
+static const char help[] =
+    "usage: tilery-worker --master HOST:PORT [options]\n"
+    "\n"
+    "Renders what the master leases to it, until it is told to stop.\n"
+    "\n"
+    "  --master HOST:PORT  the master's --listen address\n"
+    "  --threads N         render threads (the cores this process may use)\n"
+    "  --name S            how the worker is shown (the host's name)\n"
+    "  --tag T             a word that jobs may ask for; up to 8 times\n"
+    "  --cache DIR         keep scenes' chunks in DIR (in memory, until the worker ends)\n"
+    "  --cache-size MIB    of chunks kept at most (20480 in DIR, 1024 in memory)\n"
+    "  --memory MIB        for built scenes; the oldest unused go first (half of the machine's)\n"
+    "  --determinism-id    print what must be equal on all workers of a farm, and exit\n"
+    "  --log LEVEL         error, warn, info, debug or trace (info)\n"
+    "  --version           print the version, and exit\n"
+    "  --help              print this, and exit\n"
+    "\n"
+    "TILERY_TOKEN holds the farm's token where its master has a --token-file.\n"
+    "SIGTERM: finishes what it holds, delivers it, and exits 0; a second one: at once.\n"
+    "\n"
+    "  tilery-worker --master 10.0.0.5:7000 --cache /var/cache/tilery\n";
+
+enum { HOST_BYTES = 256, MIB = 1 << 20, CACHE_DISK_MIB = 20480, CACHE_MEMORY_MIB = 1024 };
+
+struct program {
+    uv_loop_t loop;
+    uv_signal_t terminate, interrupt;
+    struct pool *pool;
+    struct chunk_cache *cache;
+    struct session *session;
+    int exit_status, signals;
+    bool closing;
+
+    /* Options. */
+    const char *master, *name, *cache_folder;
+    const char *tags[LIMIT_TAGS];
+    uint32_t tag_count, threads;
+    uint64_t cache_mib, memory_mib;
+    bool print_id;
+    char host[HOST_BYTES];
+};
+
+/* --- Options ------------------------------------------------------------------------ */
+
+static int usage(const char *option, const char *text)
+{
+    (void)fprintf(stderr, "tilery-worker: %s: %s\n  see tilery-worker --help  [usage]\n", option,
+                  text);
+    return 2;
+}
+
+static bool parse_number(const char *text, uint64_t min, uint64_t max, uint64_t *out)
+{
+    char *end;
+    errno = 0;
+    unsigned long long n = strtoull(text, &end, 10);
+    if (text[0] < '0' || text[0] > '9' || *end != '\0' || errno != 0 || n < min || n > max)
+        return false;
+    *out = n;
+    return true;
+}
+
+static uint32_t cores(void)
+{
+    cpu_set_t set;
+    int n = sched_getaffinity(0, sizeof set, &set) == 0 ? CPU_COUNT(&set) : 1;
+    return n < 1 ? 1 : n > LIMIT_THREADS ? LIMIT_THREADS : (uint32_t)n;
+}
+
+static uint64_t half_of_memory_mib(void)
+{
+    long pages = sysconf(_SC_PHYS_PAGES), page_bytes = sysconf(_SC_PAGESIZE);
+    if (pages <= 0 || page_bytes <= 0)
+        return 1024;
+    return (uint64_t)pages * (uint64_t)page_bytes / 2 / MIB;
+}
+
+enum {
+    OPTION_MASTER = 256,
+    OPTION_THREADS,
+    OPTION_NAME,
+    OPTION_TAG,
+    OPTION_CACHE,
+    OPTION_CACHE_SIZE,
+    OPTION_MEMORY,
+    OPTION_ID,
+    OPTION_LOG,
+    OPTION_VERSION,
+    OPTION_HELP,
+};
+
+static const struct option long_options[] = {
+    {"master", required_argument, NULL, OPTION_MASTER},
+    {"threads", required_argument, NULL, OPTION_THREADS},
+    {"name", required_argument, NULL, OPTION_NAME},
+    {"tag", required_argument, NULL, OPTION_TAG},
+    {"cache", required_argument, NULL, OPTION_CACHE},
+    {"cache-size", required_argument, NULL, OPTION_CACHE_SIZE},
+    {"memory", required_argument, NULL, OPTION_MEMORY},
+    {"determinism-id", no_argument, NULL, OPTION_ID},
+    {"log", required_argument, NULL, OPTION_LOG},
+    {"version", no_argument, NULL, OPTION_VERSION},
+    {"help", no_argument, NULL, OPTION_HELP},
+    {NULL, 0, NULL, 0},
+};
+
+/* -1: go on; else the exit status. */
+enum { GO_ON = -1 };
+
+static int take_number(const char *option, const char *text, uint64_t min, uint64_t max,
+                       uint64_t *out)
+{
+    char line[128];
+    if (parse_number(text, min, max, out))
+        return GO_ON;
+    (void)snprintf(line, sizeof line, "\"%.40s\" is no whole number from %" PRIu64 " to %" PRIu64,
+                   text, min, max);
+    return usage(option, line);
+}
+
+static int take_threads(struct program *p, const char *text)
+{
+    uint64_t threads = 0;
+    int status = take_number("--threads", text, 1, LIMIT_THREADS, &threads);
+    if (status == GO_ON)
+        p->threads = (uint32_t)threads;
+    return status;
+}
+
+static int take_tag(struct program *p, const char *text)
+{
+    if (p->tag_count >= LIMIT_TAGS)
+        return usage("--tag", "given more than 8 times");
+    if (text[0] == '\0' || strlen(text) > 32)
+        return usage("--tag", "a tag has 1 to 32 bytes");
+    p->tags[p->tag_count++] = text;
+    return GO_ON;
+}
+
+static int take_option(struct program *p, int option, const char *value)
+{
+    enum log_level level;
+    switch (option) {
+    case OPTION_MASTER:
+        p->master = value;
+        return transport_host_port_valid(value)
+                   ? GO_ON
+                   : usage("--master", "expected HOST:PORT, as in 10.0.0.5:7000");
+    case OPTION_THREADS:
+        return take_threads(p, value);
+    case OPTION_NAME:
+        p->name = value;
+        return value[0] && strlen(value) <= 64 ? GO_ON : usage("--name", "has 1 to 64 bytes");
+    case OPTION_TAG:
+        return take_tag(p, value);
+    case OPTION_CACHE:
+        p->cache_folder = value;
+        return value[0] ? GO_ON : usage("--cache", "expected a folder");
+    case OPTION_CACHE_SIZE:
+        return take_number("--cache-size", value, 1, UINT64_C(1) << 32, &p->cache_mib);
+    case OPTION_MEMORY:
+        return take_number("--memory", value, 1, UINT64_C(1) << 32, &p->memory_mib);
+    case OPTION_ID:
+        p->print_id = true;
+        return GO_ON;
+    case OPTION_LOG:
+        if (!log_level_parse(value, &level))
+            return usage("--log", "expected error, warn, info, debug or trace");
+        log_set_level(level);
+        return GO_ON;
+    case OPTION_VERSION:
+        (void)puts("tilery-worker " TILERY_VERSION);
+        return 0;
+    case OPTION_HELP:
+        (void)fputs(help, stdout);
+        return 0;
+    default:
+        (void)fprintf(stderr, "  see tilery-worker --help  [usage]\n");
+        return 2;
+    }
+}
+
+static int parse_options(struct program *p, int argc, char **argv)
+{
+    log_set_level(LOG_INFO);
+    for (;;) {
+        int option = getopt_long(argc, argv, "", long_options, NULL);
+        if (option == -1)
+            break;
+        int status = take_option(p, option, optarg);
+        if (status != GO_ON)
+            return status;
+    }
+    if (optind < argc)
+        return usage(argv[optind], "is no option of this program");
+    if (!p->master && !p->print_id)
+        return usage("--master", "is needed: the master's --listen address");
+
+    if (gethostname(p->host, sizeof p->host - 1) != 0 || p->host[0] == '\0')
+        (void)snprintf(p->host, sizeof p->host, "unknown");
+    if (!p->name)
+        p->name = p->host;
+    if (p->threads == 0)
+        p->threads = cores();
+    if (p->cache_mib == 0)
+        p->cache_mib = p->cache_folder ? CACHE_DISK_MIB : CACHE_MEMORY_MIB;
+    if (p->memory_mib == 0)
+        p->memory_mib = half_of_memory_mib();
+    return GO_ON;
+}
+
+/* --- Running ------------------------------------------------------------------------ */
+
+static int fail(const char *what, enum err e)
+{
+    (void)fprintf(stderr, "tilery-worker: %s: %s\n", what, err_text(e));
+    return 5;
+}
+
+static enum err own_determinism_id(digest *out)
+{
+    struct render_scratch *scratch;
+    unsigned char bits[32];
+    TL_TRY(render_scratch_new(&scratch));
+    enum err e = render_self_test(scratch, bits);
+    render_scratch_free(scratch);
+    if (e == ERR_OK)
+        *out = determinism_id(bits);
+    return e;
+}
+
+static const char *cpu_name(void)
+{
+    __builtin_cpu_init();
+    return __builtin_cpu_supports("avx512f") ? "avx512"
+           : __builtin_cpu_supports("avx2")  ? "avx2"
+                                             : "sse2";
+}
+
+static void on_session_closed(void *ctx)
+{
+    struct program *p = ctx;
+    pool_close(p->pool, NULL, NULL);
+}
+
+static void shut_down(struct program *p, int exit_status)
+{
+    if (p->closing)
+        return;
+    p->closing = true;
+    p->exit_status = exit_status;
+    uv_close((uv_handle_t *)&p->terminate, NULL);
+    uv_close((uv_handle_t *)&p->interrupt, NULL);
+    session_close(p->session, on_session_closed, p);
+}
+
+static void on_ended(void *ctx, int exit_status)
+{
+    shut_down(ctx, exit_status);
+}
+
+static void on_signal(uv_signal_t *handle, int number)
+{
+    struct program *p = handle->data;
+    if (p->signals++ == 0)
+        session_drain(p->session);
+    else
+        shut_down(p, number == SIGINT ? 130 : 128 + number);
+}
+
+static void on_registered(void *ctx, const char *worker_id)
+{
+    (void)ctx;
+    (void)printf("{\"worker\": \"%s\"}\n", worker_id);
+    (void)fflush(stdout);
+}
+
+static int run(struct program *p, const struct session_options *options)
+{
+    if (uv_signal_init(&p->loop, &p->terminate) < 0 || uv_signal_init(&p->loop, &p->interrupt) < 0)
+        return fail("cannot catch signals", ERR_IO);
+    p->terminate.data = p->interrupt.data = p;
+    (void)uv_signal_start(&p->terminate, on_signal, SIGTERM);
+    (void)uv_signal_start(&p->interrupt, on_signal, SIGINT);
+
+    enum err e = session_new(&p->loop, options, &p->session);
+    if (e != ERR_OK)
+        return fail("cannot start", e);
+    (void)uv_run(&p->loop, UV_RUN_DEFAULT);
+    session_free(p->session);
+    chunk_cache_free(p->cache);
+    (void)uv_loop_close(&p->loop);
+    return p->exit_status;
+}
+
+int main(int argc, char **argv)
+{
+    static struct program p;
+    int status = parse_options(&p, argc, argv);
+    if (status != GO_ON)
+        return status;
+
+    digest id;
+    enum err e = own_determinism_id(&id);
+    if (e != ERR_OK)
+        return fail("the self-test did not run", e);
+    if (p.print_id) {
+        char hex[DIGEST_HEX_BYTES];
+        digest_to_hex(&id, hex);
+        (void)puts(hex);
+        return 0;
+    }
+    if (uv_loop_init(&p.loop) < 0)
+        return fail("cannot make an event loop", ERR_IO);
+    e = chunk_cache_new(p.cache_folder, p.cache_mib * MIB, &p.cache);
+    if (e != ERR_OK)
+        return fail(p.cache_folder ? p.cache_folder : "chunk cache", e);
+    e = pool_new(&p.loop, p.threads, &p.pool);
+    if (e != ERR_OK)
+        return fail("cannot start the render threads", e);
+
+    const char *token = getenv("TILERY_TOKEN");
+    struct session_options options = {
+        .master = p.master,
+        .name = p.name,
+        .host = p.host,
+        .cpu = cpu_name(),
+        .token = token ? token : "",
+        .tags = p.tags,
+        .tag_count = p.tag_count,
+        .determinism_id = id,
+        .pool = p.pool,
+        .cache = p.cache,
+        .scene_bytes_max = p.memory_mib * MIB,
+        .registered = on_registered,
+        .ended = on_ended,
+        .ctx = &p,
+    };
+    log_info("worker", "started master=%s threads=%" PRIu32 " cpu=%s version=" TILERY_VERSION,
+             p.master, p.threads, options.cpu);
+    return run(&p, &options);
+}

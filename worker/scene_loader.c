@@ -1,0 +1,560 @@
+#include "worker/scene_loader.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+#include "common/mem.h"
+#include "common/package.h"
+
+enum {
+    ASKED_MAX = 8, /* requests in flight: the next chunk is on its way while one is stored */
+    TRIES_MAX = 3, /* of one chunk that comes damaged, and of a scene whose chunks get lost */
+    TEXT_BYTES = 200,
+};
+
+/* Plain bytes in flight at most (or one chunk): what storing them takes in memory. */
+static const uint64_t asked_bytes_max = UINT64_C(64) << 20;
+
+enum want_state { WANT_NEEDED, WANT_ASKED, WANT_STORING, WANT_HELD };
+
+struct want {
+    digest name;
+    uint64_t raw_bytes_max;
+    enum want_state state;
+    uint32_t tries;
+};
+
+enum phase { PHASE_QUEUED, PHASE_OPENING, PHASE_FETCHING, PHASE_BUILDING };
+
+struct load {
+    struct pool_task task;
+    struct scene_loader *loader;
+    uint64_t job;
+    digest package;
+    struct job_spec spec;
+    enum phase phase;
+    bool cancelled;
+    double begun, load_seconds, build_seconds;
+    uint64_t received_bytes;
+    uint32_t rounds;
+
+    /* The root alone while it is missing, else every chunk of the index. */
+    struct want *wants;
+    size_t want_count, want_next, held_count;
+
+    /* Written by the service thread, read by the loop in `done`. */
+    enum err error;
+    bool root_missing, chunk_lost;
+    const char *step; /* what failed */
+    struct buf root, chunk;
+    struct package_index index;
+    struct render_scene *scene;
+    TAILQ_ENTRY(load) in_loads;
+};
+
+/* A request that the master has not answered yet; `load` NULL: of a load that is no more. */
+struct asked {
+    bool used;
+    digest name;
+    uint64_t raw_bytes_max;
+    struct load *load;
+    size_t want;
+};
+
+struct scene_loader {
+    struct pool *pool;
+    struct chunk_cache *cache;
+    struct scene_loader_handlers handlers;
+    void *ctx;
+    TAILQ_HEAD(, load) loads; /* the first is the one at work */
+    struct asked asked[ASKED_MAX];
+    uint64_t asked_bytes;
+    TAILQ_HEAD(, store) stores;
+};
+
+/* A chunk on its way to the cache. */
+struct store {
+    struct pool_task task;
+    struct scene_loader *loader;
+    struct load *load; /* NULL: of a load that is no more */
+    size_t want;
+    digest name;
+    uint64_t raw_bytes_max;
+    unsigned char *frame;
+    size_t frame_bytes;
+    enum err error;
+    TAILQ_ENTRY(store) in_stores;
+};
+
+static double now_seconds(void)
+{
+    struct timespec now;
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
+}
+
+static void begin_next(struct scene_loader *l);
+static void ask(struct scene_loader *l);
+
+/* --- The end of a load ------------------------------------------------------------ */
+
+static void free_load(struct load *load)
+{
+    buf_release(&load->root);
+    buf_release(&load->chunk);
+    package_index_release(&load->index);
+    render_scene_free(load->scene);
+    mem_free(load->wants);
+    mem_free(load);
+}
+
+/* Takes the load out of everything that refers to it. */
+static void detach(struct scene_loader *l, struct load *load)
+{
+    for (size_t i = 0; i < ASKED_MAX; i++)
+        if (l->asked[i].load == load)
+            l->asked[i].load = NULL;
+    struct store *s;
+    TAILQ_FOREACH(s, &l->stores, in_stores)
+    if (s->load == load)
+        s->load = NULL;
+    TAILQ_REMOVE(&l->loads, load, in_loads);
+}
+
+static void end(struct load *load, enum err error, const char *text)
+{
+    struct scene_loader *l = load->loader;
+    struct loaded_scene scene = {.scene = load->scene,
+                                 .load_seconds = load->load_seconds,
+                                 .build_seconds = load->build_seconds,
+                                 .received_bytes = load->received_bytes};
+    load->scene = NULL;
+    if (scene.scene)
+        scene.scene_bytes = render_scene_bytes(scene.scene);
+    uint64_t job = load->job;
+    bool cancelled = load->cancelled;
+    detach(l, load);
+    free_load(load);
+    if (cancelled)
+        render_scene_free(scene.scene);
+    else
+        l->handlers.finished(l->ctx, job, error, text, &scene);
+    begin_next(l);
+}
+
+static void end_with_chunk(struct load *load, const struct want *w, enum err error,
+                           const char *what)
+{
+    char hex[DIGEST_HEX_BYTES], text[TEXT_BYTES];
+    digest_to_hex(&w->name, hex);
+    (void)snprintf(text, sizeof text, "chunk %.16s: %s", hex, what);
+    end(load, error, text);
+}
+
+/* --- On the service thread --------------------------------------------------------- */
+
+static void run_open(struct pool_task *task, uint32_t thread)
+{
+    (void)thread;
+    struct load *load = (struct load *)task;
+    struct chunk_cache *cache = load->loader->cache;
+    load->step = "cannot read the scene's root chunk";
+    load->root_missing = !chunk_cache_has(cache, &load->package);
+    if (load->root_missing)
+        return;
+    buf_clear(&load->root);
+    load->error = chunk_cache_get(cache, &load->package, PACKAGE_ROOT_BYTES_MAX, &load->root);
+    if (load->error == ERR_NOT_FOUND) {
+        load->error = ERR_OK;
+        load->root_missing = true;
+        return;
+    }
+    if (load->error != ERR_OK)
+        return;
+    package_index_release(&load->index);
+    load->index = (struct package_index){0};
+    load->error = package_root_read(load->root.data, load->root.bytes, &load->index);
+    if (load->error != ERR_OK)
+        return;
+
+    load->error = ERR_NOMEM;
+    struct want *wants = mem_alloc_array(load->index.count, sizeof *wants);
+    if (!wants)
+        return;
+    mem_free(load->wants);
+    load->wants = wants;
+    load->want_count = load->index.count;
+    load->held_count = 0;
+    for (size_t i = 0; i < load->index.count; i++) {
+        const struct package_index_entry *e = &load->index.entries[i];
+        bool held = chunk_cache_has(cache, &e->name);
+        wants[i] = (struct want){
+            .name = e->name, .raw_bytes_max = e->bytes, .state = held ? WANT_HELD : WANT_NEEDED};
+        load->held_count += held;
+    }
+    load->error = ERR_OK;
+}
+
+static enum err fetch_chunk(void *ctx, size_t i, const struct package_index_entry *entry,
+                            const unsigned char **data, size_t *bytes)
+{
+    (void)i;
+    struct load *load = ctx;
+    buf_clear(&load->chunk);
+    enum err e = chunk_cache_get(load->loader->cache, &entry->name, entry->bytes, &load->chunk);
+    if (e == ERR_NOT_FOUND)
+        load->chunk_lost = true;
+    if (e != ERR_OK)
+        return e;
+    if (load->chunk.bytes != entry->bytes)
+        return ERR_CORRUPT;
+    *data = load->chunk.data;
+    *bytes = load->chunk.bytes;
+    return ERR_OK;
+}
+
+static void run_build(struct pool_task *task, uint32_t thread)
+{
+    (void)thread;
+    struct load *load = (struct load *)task;
+    struct scene scene;
+    scene_init(&scene);
+    load->step = "cannot read the scene";
+    load->error = package_read(load->root.data, load->root.bytes, fetch_chunk, load, &scene);
+    buf_release(&load->chunk);
+    buf_init(&load->chunk);
+    double read = now_seconds();
+    load->load_seconds = read - load->begun;
+    if (load->error == ERR_OK) {
+        load->step = "cannot build the scene";
+        struct accel_runner runner = {.run = pool_run,
+                                      .ctx = load->loader->pool,
+                                      .thread_count = pool_thread_count(load->loader->pool)};
+        load->error = scene_build(&scene, &load->spec, &runner, &load->scene);
+        load->build_seconds = now_seconds() - read;
+    }
+    scene_release(&scene);
+}
+
+static void run_store(struct pool_task *task, uint32_t thread)
+{
+    (void)thread;
+    struct store *s = (struct store *)task;
+    s->error =
+        chunk_cache_put(s->loader->cache, &s->name, s->frame, s->frame_bytes, s->raw_bytes_max);
+    s->frame = NULL;
+}
+
+/* --- Phases, on the loop ------------------------------------------------------------ */
+
+static void submit(struct load *load, enum phase phase, void (*run)(struct pool_task *, uint32_t),
+                   void (*done)(struct pool_task *))
+{
+    load->phase = phase;
+    load->error = ERR_OK;
+    load->root_missing = load->chunk_lost = false;
+    load->task.kind = POOL_SERVICE;
+    load->task.run = run;
+    load->task.done = done;
+    pool_submit(load->loader->pool, &load->task);
+}
+
+static void done_open(struct pool_task *task);
+static void done_build(struct pool_task *task);
+
+static void open_again(struct load *load)
+{
+    if (++load->rounds > TRIES_MAX)
+        end(load, ERR_IO, "the chunk cache loses what it is given");
+    else
+        submit(load, PHASE_OPENING, run_open, done_open);
+}
+
+static void want_root(struct load *load)
+{
+    struct want *wants = mem_alloc_array(1, sizeof *wants);
+    if (!wants) {
+        end(load, ERR_NOMEM, "no memory for the scene's root chunk");
+        return;
+    }
+    *wants = (struct want){.name = load->package, .raw_bytes_max = PACKAGE_ROOT_BYTES_MAX};
+    mem_free(load->wants);
+    load->wants = wants;
+    load->want_count = 1;
+    load->held_count = 0;
+}
+
+static void done_open(struct pool_task *task)
+{
+    struct load *load = (struct load *)task;
+    struct scene_loader *l = load->loader;
+    if (load->cancelled || load->error != ERR_OK) {
+        end(load, load->error, load->step);
+        return;
+    }
+    load->want_next = 0;
+    load->phase = PHASE_FETCHING;
+    if (load->root_missing)
+        want_root(load);
+    ask(l);
+}
+
+static void done_build(struct pool_task *task)
+{
+    struct load *load = (struct load *)task;
+    if (!load->cancelled && load->chunk_lost) {
+        open_again(load);
+        return;
+    }
+    end(load, load->error, load->error == ERR_OK ? "" : load->step);
+}
+
+static void begin_next(struct scene_loader *l)
+{
+    struct load *load = TAILQ_FIRST(&l->loads);
+    if (!load || load->phase != PHASE_QUEUED)
+        return;
+    load->begun = now_seconds();
+    chunk_cache_begin(l->cache);
+    submit(load, PHASE_OPENING, run_open, done_open);
+}
+
+/* --- Asking and receiving ----------------------------------------------------------- */
+
+static struct asked *free_slot(struct scene_loader *l)
+{
+    for (size_t i = 0; i < ASKED_MAX; i++)
+        if (!l->asked[i].used)
+            return &l->asked[i];
+    return NULL;
+}
+
+static struct asked *find_asked(const struct scene_loader *l, const digest *name)
+{
+    for (size_t i = 0; i < ASKED_MAX; i++)
+        if (l->asked[i].used && digest_equal(&l->asked[i].name, name))
+            return (struct asked *)&l->asked[i];
+    return NULL;
+}
+
+/* Asks for the next chunks of the load at work, as far as the window allows; once all are held,
+ * goes on to the next phase. */
+static void ask(struct scene_loader *l)
+{
+    struct load *load = TAILQ_FIRST(&l->loads);
+    if (!load || load->phase != PHASE_FETCHING)
+        return;
+    if (load->held_count == load->want_count) {
+        if (load->root_missing)
+            open_again(load);
+        else
+            submit(load, PHASE_BUILDING, run_build, done_build);
+        return;
+    }
+    while (load->want_next < load->want_count) {
+        struct want *w = &load->wants[load->want_next];
+        struct asked *slot = free_slot(l);
+        if (w->state != WANT_NEEDED) {
+            load->want_next++;
+            continue;
+        }
+        bool over = l->asked_bytes > 0 && l->asked_bytes + w->raw_bytes_max > asked_bytes_max;
+        if (!slot || over || !l->handlers.request(l->ctx, &w->name))
+            return;
+        *slot = (struct asked){.used = true,
+                               .name = w->name,
+                               .raw_bytes_max = w->raw_bytes_max,
+                               .load = load,
+                               .want = load->want_next};
+        l->asked_bytes += w->raw_bytes_max;
+        w->state = WANT_ASKED;
+        load->want_next++;
+    }
+}
+
+static void answered(struct scene_loader *l, struct asked *a)
+{
+    TL_ASSERT(a->used && l->asked_bytes >= a->raw_bytes_max);
+    l->asked_bytes -= a->raw_bytes_max;
+    *a = (struct asked){0};
+}
+
+/* The chunk did not come, or not whole: once more, unless that has been tried enough. */
+static void want_again(struct load *load, size_t i, enum err error)
+{
+    struct want *w = &load->wants[i];
+    w->state = WANT_NEEDED;
+    if (load->want_next > i)
+        load->want_next = i;
+    if (++w->tries >= TRIES_MAX)
+        end_with_chunk(load, w, error, "came damaged each time");
+    else
+        ask(load->loader);
+}
+
+static void done_store(struct pool_task *task)
+{
+    struct store *s = (struct store *)task;
+    struct scene_loader *l = s->loader;
+    struct load *load = s->load;
+    size_t i = s->want;
+    enum err error = s->error;
+    TAILQ_REMOVE(&l->stores, s, in_stores);
+    mem_free(s);
+    if (!load)
+        return;
+    if (error == ERR_OK) {
+        load->wants[i].state = WANT_HELD;
+        load->held_count++;
+        ask(l);
+    } else if (error == ERR_NOMEM) {
+        end_with_chunk(load, &load->wants[i], error, "no memory for it");
+    } else {
+        want_again(load, i, error);
+    }
+}
+
+enum err scene_loader_wants(const struct scene_loader *l, const digest *chunk, uint64_t raw_bytes,
+                            uint64_t body_bytes)
+{
+    const struct asked *a = find_asked(l, chunk);
+    if (!a)
+        return ERR_CORRUPT;
+    /* zstd adds at most 1/256 and a little to what it cannot compress. */
+    if (raw_bytes > a->raw_bytes_max || body_bytes > raw_bytes + raw_bytes / 128 + 1024)
+        return ERR_LIMIT;
+    return ERR_OK;
+}
+
+void scene_loader_chunk(struct scene_loader *l, const digest *chunk, unsigned char *body,
+                        size_t body_bytes)
+{
+    struct asked *a = find_asked(l, chunk);
+    struct store *s = a ? mem_calloc(1, sizeof *s) : NULL;
+    struct load *load = a ? a->load : NULL;
+    if (!s) {
+        mem_free(body);
+        if (a)
+            answered(l, a);
+        if (load)
+            end(load, ERR_NOMEM, "no memory to store a chunk");
+        return;
+    }
+    *s = (struct store){.task = {.run = run_store, .done = done_store, .kind = POOL_SERVICE},
+                        .loader = l,
+                        .load = load,
+                        .want = a->want,
+                        .name = *chunk,
+                        .raw_bytes_max = a->raw_bytes_max,
+                        .frame = body,
+                        .frame_bytes = body_bytes};
+    answered(l, a);
+    if (load) {
+        load->wants[s->want].state = WANT_STORING;
+        load->received_bytes += body_bytes;
+    }
+    TAILQ_INSERT_TAIL(&l->stores, s, in_stores);
+    pool_submit(l->pool, &s->task);
+    ask(l);
+}
+
+void scene_loader_missing(struct scene_loader *l, const digest *chunk)
+{
+    struct asked *a = find_asked(l, chunk);
+    if (!a)
+        return;
+    struct load *load = a->load;
+    size_t i = a->want;
+    answered(l, a);
+    if (load)
+        end_with_chunk(load, &load->wants[i], ERR_NOT_FOUND, "the master does not have it");
+}
+
+/* --- Requests ----------------------------------------------------------------------- */
+
+void scene_loader_connected(struct scene_loader *l)
+{
+    ask(l);
+}
+
+void scene_loader_disconnected(struct scene_loader *l)
+{
+    for (size_t i = 0; i < ASKED_MAX; i++) {
+        struct asked *a = &l->asked[i];
+        if (!a->used)
+            continue;
+        if (a->load) {
+            a->load->wants[a->want].state = WANT_NEEDED;
+            if (a->load->want_next > a->want)
+                a->load->want_next = a->want;
+        }
+        answered(l, a);
+    }
+}
+
+enum err scene_loader_start(struct scene_loader *l, uint64_t job, const digest *package,
+                            const struct job_spec *spec)
+{
+    struct load *load;
+    TAILQ_FOREACH(load, &l->loads, in_loads)
+    TL_ASSERT(load->job != job || load->cancelled);
+    load = mem_calloc(1, sizeof *load);
+    if (!load)
+        return ERR_NOMEM;
+    load->loader = l;
+    load->job = job;
+    load->package = *package;
+    load->spec = *spec;
+    buf_init(&load->root);
+    buf_init(&load->chunk);
+    TAILQ_INSERT_TAIL(&l->loads, load, in_loads);
+    begin_next(l);
+    return ERR_OK;
+}
+
+void scene_loader_cancel(struct scene_loader *l, uint64_t job)
+{
+    struct load *load;
+    TAILQ_FOREACH(load, &l->loads, in_loads)
+    if (load->job == job && !load->cancelled)
+        break;
+    if (!load)
+        return;
+    load->cancelled = true;
+    bool at_work = load->phase == PHASE_OPENING || load->phase == PHASE_BUILDING;
+    if (!at_work || pool_cancel(l->pool, &load->task))
+        end(load, ERR_CANCELLED, "");
+}
+
+enum err scene_loader_new(struct pool *pool, struct chunk_cache *cache,
+                          const struct scene_loader_handlers *handlers, void *ctx,
+                          struct scene_loader **out)
+{
+    struct scene_loader *l = mem_calloc(1, sizeof *l);
+    if (!l)
+        return ERR_NOMEM;
+    *l = (struct scene_loader){.pool = pool, .cache = cache, .handlers = *handlers, .ctx = ctx};
+    TAILQ_INIT(&l->loads);
+    TAILQ_INIT(&l->stores);
+    *out = l;
+    return ERR_OK;
+}
+
+void scene_loader_free(struct scene_loader *l)
+{
+    if (!l)
+        return;
+    while (!TAILQ_EMPTY(&l->loads)) {
+        struct load *load = TAILQ_FIRST(&l->loads);
+        TAILQ_REMOVE(&l->loads, load, in_loads);
+        free_load(load);
+    }
+    while (!TAILQ_EMPTY(&l->stores)) {
+        struct store *s = TAILQ_FIRST(&l->stores);
+        TAILQ_REMOVE(&l->stores, s, in_stores);
+        mem_free(s->frame);
+        mem_free(s);
+    }
+    mem_free(l);
+}

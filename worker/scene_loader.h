@@ -1,0 +1,68 @@
+/* worker/scene_loader.h: from a package's name to a scene that can be traced.
+ *
+ * One load at a time, in order of request. For each: read the root chunk from the
+ * cache, ask the master for what is missing (a few requests in flight), check and
+ * store what comes, then decode and build on the service thread, spread over the
+ * pool. A chunk that the disk has lost or changed meanwhile is asked for again.
+ *
+ *   OPENING --> FETCHING --> BUILDING --> finished
+ *      ^           |             |
+ *      +-----------+-------------+   root came, or a chunk was lost
+ *
+ * A load survives the loss of the connection and goes on with the next one.
+ * Thread: the loop's; its tasks run on the pool's service thread.
+ * Tests: the fake-master test (tests/e2e/test_worker_wire.py).
+ */
+#ifndef WORKER_SCENE_LOADER_H
+#define WORKER_SCENE_LOADER_H
+
+#include "common/digest.h"
+#include "worker/chunk_cache.h"
+#include "worker/pool.h"
+#include "worker/scene/scene_build.h"
+
+struct scene_loader; /* opaque */
+
+struct loaded_scene {
+    struct render_scene *scene; /* yours: render_scene_free */
+    double load_seconds, build_seconds;
+    uint64_t scene_bytes, received_bytes;
+};
+
+struct scene_loader_handlers {
+    /* Asks the master for a chunk; false: not connected now (scene_loader_connected follows). */
+    bool (*request)(void *ctx, const digest *chunk);
+
+    /* The load of `job` is over, and `scene` (NULL after an error) is yours. `text` says what went
+     * wrong, for people. Not called for a cancelled load. */
+    void (*finished)(void *ctx, uint64_t job, enum err error, const char *text,
+                     const struct loaded_scene *scene);
+};
+
+/* Borrows pool and cache. ERR_NOMEM. */
+TL_NODISCARD enum err scene_loader_new(struct pool *pool, struct chunk_cache *cache,
+                                       const struct scene_loader_handlers *handlers, void *ctx,
+                                       struct scene_loader **out);
+
+/* After pool_close: none of its tasks is left. */
+void scene_loader_free(struct scene_loader *l);
+
+/* Queues a load; copies package and spec. A job is loaded at most once at a time (asserted). */
+TL_NODISCARD enum err scene_loader_start(struct scene_loader *l, uint64_t job,
+                                         const digest *package, const struct job_spec *spec);
+void scene_loader_cancel(struct scene_loader *l, uint64_t job);
+
+/* The connection is up: asks (again) for what is missing. Down: forgets what was asked. */
+void scene_loader_connected(struct scene_loader *l);
+void scene_loader_disconnected(struct scene_loader *l);
+
+/* For the body of a ChunkData: ERR_OK if it was asked for and the sizes can be true. */
+TL_NODISCARD enum err scene_loader_wants(const struct scene_loader *l, const digest *chunk,
+                                         uint64_t raw_bytes, uint64_t body_bytes);
+
+/* Takes `body` (mem_free). */
+void scene_loader_chunk(struct scene_loader *l, const digest *chunk, unsigned char *body,
+                        size_t body_bytes);
+void scene_loader_missing(struct scene_loader *l, const digest *chunk);
+
+#endif
