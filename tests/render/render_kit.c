@@ -51,8 +51,7 @@ uint32_t kit_constant_texture(struct scene *s, double value)
     return (uint32_t)(s->texture_count - 1);
 }
 
-static struct scene_object *object(struct scene *s, enum scene_object_type type,
-                                   uint32_t material)
+static struct scene_object *object(struct scene *s, enum scene_object_type type, uint32_t material)
 {
     s->objects = append(s->objects, &s->object_count, sizeof *s->objects);
     struct scene_object *o = &s->objects[s->object_count - 1];
@@ -63,8 +62,7 @@ static struct scene_object *object(struct scene *s, enum scene_object_type type,
     return o;
 }
 
-uint32_t kit_sphere(struct scene *s, double x, double y, double z, double radius,
-                    uint32_t material)
+uint32_t kit_sphere(struct scene *s, double x, double y, double z, double radius, uint32_t material)
 {
     struct scene_object *o = object(s, SCENE_OBJECT_SPHERE, material);
     o->center[0] = x;
@@ -196,11 +194,11 @@ void kit_cornell(struct scene *s, int objects)
 {
     static const double camera[3][3] = {{0, 1, 6.8}, {0, 1, 0}, {0, 1, 0}};
     static const double light[3] = {0, 1.5, 0.5}, flux[3] = {17, 12, 5};
-    static const double lamp[12] = {-0.25, 1.98, -0.25, 0.25, 1.98, -0.25,
+    static const double lamp[12] = {-0.25, 1.98, -0.25, 0.25,  1.98, -0.25,
                                     0.25,  1.98, 0.25,  -0.25, 1.98, 0.25};
-    static const double small[8] = {-0.04607,  -0.573007, 0.124253, -0.003104,
+    static const double small[8] = {-0.04607, -0.573007, 0.124253, -0.003104,
                                     0.703337, -0.176177, 0.533009, -0.746079};
-    static const double tall[8] = {0.0495656,  0.108948, -0.523986, -0.0906493,
+    static const double tall[8] = {0.0495656, 0.108948, -0.523986, -0.0906493,
                                    -0.720444, 0.473882, -0.146892, 0.673479};
     memcpy(s->camera.position, camera[0], sizeof camera[0]);
     memcpy(s->camera.look_at, camera[1], sizeof camera[1]);

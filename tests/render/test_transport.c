@@ -81,7 +81,8 @@ static void integrating_sphere(void **state)
         double power = 1;
         for (uint32_t k = 1; k < depth; k++)
             power *= rho;
-        double expected = rho / (3.14159265358979323846 * radius * radius) * (1 - power) / (1 - rho);
+        double expected =
+            rho / (3.14159265358979323846 * radius * radius) * (1 - power) / (1 - rho);
         struct kit_picture p = kit_render(&s, &spec, 0);
         for (size_t k = 0; k < 8 * 8 * 3; k++)
             assert_true(fabs(p.mean[k] / expected - 1) <= 1e-6);
@@ -120,6 +121,8 @@ static void assert_profiles_agree(const struct scene *s, uint64_t spp)
         assert_true(mean[k] > 0);
     }
     for (int k = 1; k < 3; k++) {
+        print_message("mean %g +- %g against %g +- %g\n", mean[k], sqrt(variance[k]), mean[0],
+                      sqrt(variance[0]));
         double z = (mean[k] - mean[0]) / sqrt(variance[k] + variance[0]);
         assert_true(fabs(z) < 5);
     }

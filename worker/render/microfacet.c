@@ -103,10 +103,10 @@ static double sample_slope(double cot, double u)
         double slope = 2 / sqrt(VEC_PI) * (cot - x) * dmath_exp(-x * x);
         double step = error / slope;
         if (fabs(step) < 1e-12)
-            break;
+            return x;
         x -= step;
     }
-    return x > low && x < high ? x : 0.5 * (low + high);
+    return 0.5 * (low + high);
 }
 
 /* Heitz and d'Eon 2014: slopes visible from wo, in the space where the roughness is 1. */
