@@ -1,0 +1,189 @@
+#include "client/cli.h"
+
+#include <errno.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "client/cli_help.h"
+#include "client/cli_settings.h"
+#include "client/command.h"
+#include "client/out_file.h"
+#include "client/term.h"
+#include "common/mem.h"
+
+enum { SAFE_BYTES = 1024, SAFE_BUFFERS = 4 };
+
+const char *cli_safe(const char *text)
+{
+    static char buffers[SAFE_BUFFERS][SAFE_BYTES];
+    static unsigned next;
+    char *out = buffers[next++ % SAFE_BUFFERS];
+    (void)snprintf(out, SAFE_BYTES, "%s", text);
+    for (char *p = out; *p; p++)
+        if ((unsigned char)*p < 0x20 || *p == 0x7f)
+            *p = '?';
+    return out;
+}
+
+void cli_error(const char *id, const char *hint, const char *format, ...)
+{
+    char text[SAFE_BYTES];
+    va_list args;
+    va_start(args, format);
+    (void)vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    (void)fprintf(stderr, "tilery: %s\n  %s%s[%s]\n", cli_safe(text), hint ? cli_safe(hint) : "",
+                  hint ? "  " : "", id);
+}
+
+void cli_warn(const char *format, ...)
+{
+    char text[SAFE_BYTES];
+    va_list args;
+    va_start(args, format);
+    (void)vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    (void)fprintf(stderr, "tilery: warning: %s\n", cli_safe(text));
+}
+
+void cli_say(const struct cli *cli, const char *format, ...)
+{
+    if (cli->quiet)
+        return;
+    va_list args;
+    va_start(args, format);
+    (void)vfprintf(stderr, format, args);
+    va_end(args);
+    (void)fputc('\n', stderr);
+}
+
+int cli_problems(const struct diag_list *problems, const char *tail)
+{
+    diag_print(problems, stderr);
+    if (problems->error_count == 0)
+        return EXIT_DONE;
+    (void)fprintf(stderr, "%zu problem%s%s%s\n", problems->error_count,
+                  problems->error_count == 1 ? "" : "s", tail ? ", " : "", tail ? tail : "");
+    return EXIT_INPUT;
+}
+
+bool cli_put(const char *text, size_t bytes)
+{
+    static bool reported;
+    if (fwrite(text, 1, bytes, stdout) == bytes && fflush(stdout) == 0)
+        return true;
+    if (!reported && errno != EPIPE)
+        cli_error("output", NULL, "cannot write to standard output: %s", strerror(errno));
+    reported = true;
+    return false;
+}
+
+bool cli_put_buf(const struct buf *b)
+{
+    if (buf_status(b) != ERR_OK) {
+        cli_error("no-memory", NULL, "out of memory");
+        return false;
+    }
+    return b->bytes == 0 || cli_put((const char *)b->data, b->bytes);
+}
+
+int cli_cannot_write(const char *path, enum err e, int errnum, uint64_t bytes_needed,
+                     const char *hint)
+{
+    uint64_t free_bytes = out_file_free_bytes(path);
+    if (e == ERR_NOSPACE && bytes_needed > 0)
+        cli_error("disk-full", hint, "cannot write %s: disk full (needs %.1f MB, %.1f MB free)",
+                  path, (double)bytes_needed / 1e6, (double)free_bytes / 1e6);
+    else if (e == ERR_NOSPACE)
+        cli_error("disk-full", hint, "cannot write %s: disk full", path);
+    else if (e == ERR_NOT_FOUND)
+        cli_error("no-folder", hint ? hint : "make its folder first",
+                  "cannot write %s: no such folder", path);
+    else
+        cli_error("cannot-write", hint, "cannot write %s: %s", path,
+                  errnum ? strerror(errnum) : err_text(e));
+    return EXIT_MACHINE;
+}
+
+static int print_help(enum cli_command_id id)
+{
+    struct buf out;
+    buf_init(&out);
+    cli_help_short(id, &out);
+    bool ok = cli_put_buf(&out);
+    buf_release(&out);
+    return ok ? EXIT_DONE : EXIT_MACHINE;
+}
+
+static int print_overview(bool asked)
+{
+    struct buf out;
+    buf_init(&out);
+    cli_help_overview(&out);
+    if (asked)
+        (void)cli_put_buf(&out);
+    else if (buf_status(&out) == ERR_OK)
+        (void)fwrite(out.data, 1, out.bytes, stderr);
+    buf_release(&out);
+    return asked ? EXIT_DONE : EXIT_USAGE;
+}
+
+static int usage_problems(const struct diag_list *problems)
+{
+    for (size_t i = 0; i < problems->count; i++) {
+        const struct diag *d = &problems->items[i];
+        if (d->file)
+            (void)fprintf(stderr, "%s:%llu: %s\n  %s%s[%s]\n", d->file, (unsigned long long)d->line,
+                          d->text, d->hint ? d->hint : "", d->hint ? "  " : "", d->id);
+        else
+            cli_error(d->id, d->hint, "%s", d->text);
+    }
+    return EXIT_USAGE;
+}
+
+static void apply_settings(struct cli *cli)
+{
+    const char *color = cli_has(&cli->line, CLI_COLOR) ? cli_text(&cli->line, CLI_COLOR) : "auto";
+    cli->quiet = cli_flag(&cli->line, CLI_QUIET);
+    cli->json = cli_flag(&cli->line, CLI_JSON);
+    cli->color_out = term_wants_color(STDOUT_FILENO, color);
+    cli->color_err = term_wants_color(STDERR_FILENO, color);
+}
+
+static int run(struct cli *cli, int argc, char **argv)
+{
+    struct diag_list problems;
+    diag_init(&problems);
+    bool ok = cli_line_parse(&cli->line, argc, argv, &problems);
+    bool help = ok && cli_has(&cli->line, CLI_HELP_FLAG);
+    ok = ok && (help || cli_settings_load(cli, &problems));
+    int status = ok ? EXIT_DONE : usage_problems(&problems);
+    diag_release(&problems);
+    if (!ok)
+        return status;
+    if (help)
+        return print_help(cli->line.command);
+    apply_settings(cli);
+    return command_run(cli);
+}
+
+int cli_main(int argc, char **argv)
+{
+    (void)signal(SIGPIPE, SIG_IGN);
+    if (argc < 2)
+        return print_overview(false);
+    if (strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0)
+        return print_overview(true);
+    if (strcmp(argv[1], "--version") == 0)
+        return cli_put("tilery " TILERY_VERSION "\n", strlen("tilery " TILERY_VERSION "\n"))
+                   ? EXIT_DONE
+                   : EXIT_MACHINE;
+    struct cli cli = {0};
+    int status = run(&cli, argc, argv);
+    for (int i = 0; i < CLI_OPTION_COUNT; i++)
+        mem_free(cli.owned[i]);
+    return status;
+}

@@ -1,0 +1,218 @@
+/* client/cmd_compare.c: two pictures, how far apart, and whether that may be. */
+#include <errno.h>
+#include <math.h>
+#include <string.h>
+
+#include "client/command.h"
+#include "client/human.h"
+#include "client/metrics.h"
+#include "client/out_file.h"
+#include "common/dmath.h"
+#include "common/exr_file.h"
+#include "common/file_io.h"
+#include "common/image_file.h"
+#include "common/json_put.h"
+#include "common/mem.h"
+#include "common/png_file.h"
+
+/* One picture as linear RGB. */
+struct picture {
+    uint32_t width, height;
+    float *rgb; /* owned */
+};
+
+static enum err from_exr(const char *path, const void *data, size_t bytes, struct picture *out,
+                         struct diag_list *problems)
+{
+    static const char *const names[] = {"R", "G", "B"};
+    struct exr_image image;
+    TL_TRY(exr_read(data, bytes, path, names, 3, &image, problems));
+    out->width = image.data_width;
+    out->height = image.data_height;
+    size_t pixels = (size_t)out->width * out->height;
+    out->rgb = mem_alloc_array(pixels, 3 * sizeof *out->rgb);
+    for (size_t c = 0; out->rgb && c < 3; c++) {
+        const float *plane = exr_image_plane(&image, names[c]);
+        for (size_t i = 0; i < pixels; i++)
+            out->rgb[3 * i + c] = plane[i];
+    }
+    exr_image_release(&image);
+    return out->rgb ? ERR_OK : ERR_NOMEM;
+}
+
+static float linear_of(const struct scene_image *image, size_t i)
+{
+    if (image->format == SCENE_IMAGE_F32)
+        return ((const float *)image->pixels)[i];
+    double v = ((const unsigned char *)image->pixels)[i] / 255.0;
+    return (float)(image->format == SCENE_IMAGE_U8_SRGB ? dmath_srgb_decode(v) : v);
+}
+
+static enum err from_image(const char *path, const void *data, size_t bytes, struct picture *out,
+                           struct diag_list *problems)
+{
+    struct scene_image image;
+    TL_TRY(image_read(data, bytes, path, IMAGE_COLOR, &image, problems));
+    out->width = image.width;
+    out->height = image.height;
+    size_t pixels = (size_t)out->width * out->height;
+    out->rgb = mem_alloc_array(pixels, 3 * sizeof *out->rgb);
+    for (size_t i = 0; out->rgb && i < 3 * pixels; i++)
+        out->rgb[i] =
+            linear_of(&image, i / 3 * image.channel_count + (image.channel_count >= 3 ? i % 3 : 0));
+    mem_free(image.pixels);
+    return out->rgb ? ERR_OK : ERR_NOMEM;
+}
+
+static int read_picture(const char *path, struct picture *out, struct diag_list *problems)
+{
+    static const unsigned char exr_magic[4] = {0x76, 0x2f, 0x31, 0x01};
+    char *data;
+    size_t bytes;
+    *out = (struct picture){0};
+    enum err e = file_read(path, UINT64_C(1) << 34, &data, &bytes);
+    if (e != ERR_OK) {
+        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path}, "missing-file", NULL,
+                 "cannot be read: %s", err_text(e));
+        return EXIT_INPUT;
+    }
+    bool exr = bytes >= 4 && memcmp(data, exr_magic, 4) == 0;
+    e = exr ? from_exr(path, data, bytes, out, problems)
+            : from_image(path, data, bytes, out, problems);
+    mem_free(data);
+    if (e == ERR_NOMEM)
+        cli_error("no-memory", NULL, "out of memory while reading %s", path);
+    return e == ERR_OK ? EXIT_DONE : e == ERR_NOMEM ? EXIT_MACHINE : EXIT_INPUT;
+}
+
+static int write_heatmap(const char *path, const struct picture *x, const struct picture *r)
+{
+    size_t pixels = (size_t)x->width * x->height;
+    double *errors = mem_alloc_array(pixels, sizeof *errors);
+    unsigned char *rgb = mem_alloc_array(pixels, 3);
+    struct buf png;
+    buf_init(&png);
+    enum err e = errors && rgb ? ERR_OK : ERR_NOMEM;
+    if (e == ERR_OK) {
+        metrics_error_map(x->rgb, r->rgb, x->width, x->height, errors);
+        for (size_t i = 0; i < pixels; i++)
+            metrics_heat(errors[i], rgb + 3 * i);
+        e = png_write_bytes(rgb, x->width, x->height, 3, &png);
+    }
+    if (e == ERR_OK)
+        e = file_write(path, png.data, png.bytes);
+    mem_free(errors);
+    mem_free(rgb);
+    buf_release(&png);
+    return e == ERR_OK ? EXIT_DONE : cli_cannot_write(path, e, 0, 0, NULL);
+}
+
+static void put_json(const struct metrics *m, const struct picture *p, bool holds, struct buf *out)
+{
+    const struct {
+        const char *key;
+        double value;
+    } numbers[] = {
+        {"rmse", m->rmse},     {"relmse", m->relmse}, {"relmse_trimmed", m->relmse_trimmed},
+        {"mape", m->mape},     {"psnr", m->psnr},     {"ssim", m->ssim},
+        {"mean_a", m->mean_x}, {"mean_b", m->mean_r}};
+    buf_printf(out, "{\"width\":%u,\"height\":%u,\"identical\":%s,\"holds\":%s", p->width,
+               p->height, m->identical ? "true" : "false", holds ? "true" : "false");
+    for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
+        buf_printf(out, ",\"%s\":", numbers[i].key);
+        json_put_number(out, numbers[i].value);
+    }
+    buf_printf(out, ",\"max_difference\":{\"value\":");
+    json_put_number(out, m->max_difference);
+    buf_printf(out, ",\"x\":%u,\"y\":%u},\"nonfinite_a\":%llu,\"nonfinite_b\":%llu}\n", m->max_x,
+               m->max_y, (unsigned long long)m->nonfinite_x, (unsigned long long)m->nonfinite_r);
+}
+
+static void put_text(const struct metrics *m, const struct picture *p, struct buf *out)
+{
+    char relmse[HUMAN_BYTES], trimmed[HUMAN_BYTES];
+    human_error(m->relmse, relmse);
+    human_error(m->relmse_trimmed, trimmed);
+    buf_printf(out, "%ux%u, %s\n", p->width, p->height,
+               m->identical ? "identical in every bit" : "different");
+    buf_printf(out, "  relMSE   %s (without the worst 0.1 %%: %s)\n", relmse, trimmed);
+    buf_printf(out, "  RMSE     %.6g, MAPE %.4g\n", m->rmse, m->mape);
+    if (isinf(m->psnr))
+        buf_printf(out, "  display  PSNR -, SSIM %.5f\n", m->ssim);
+    else
+        buf_printf(out, "  display  PSNR %.2f dB, SSIM %.5f\n", m->psnr, m->ssim);
+    buf_printf(out, "  largest  %.6g at pixel %u,%u\n", m->max_difference, m->max_x, m->max_y);
+    buf_printf(out, "  mean     %.6g, reference %.6g\n", m->mean_x, m->mean_r);
+    if (m->nonfinite_x || m->nonfinite_r)
+        buf_printf(out, "  note     %llu values are not finite, %llu in the reference\n",
+                   (unsigned long long)m->nonfinite_x, (unsigned long long)m->nonfinite_r);
+}
+
+static bool must_hold(const struct cli_line *line, const struct metrics *m)
+{
+    if (cli_flag(line, CLI_IDENTICAL) && !m->identical)
+        return false;
+    if (!cli_has(line, CLI_MAX_RELMSE))
+        return true;
+    /* A picture with holes is not within any error. */
+    return m->nonfinite_x == 0 && m->nonfinite_r == 0 &&
+           m->relmse <= cli_number(line, CLI_MAX_RELMSE);
+}
+
+static int report(const struct cli *cli, const struct picture *x, const struct picture *r)
+{
+    struct metrics m;
+    struct buf out;
+    if (metrics_compare(x->rgb, r->rgb, x->width, x->height, &m) != ERR_OK) {
+        cli_error("no-memory", NULL, "out of memory");
+        return EXIT_MACHINE;
+    }
+    bool holds = must_hold(&cli->line, &m);
+    buf_init(&out);
+    if (cli->json)
+        put_json(&m, x, holds, &out);
+    else if (!cli->quiet)
+        put_text(&m, x, &out);
+    bool ok = cli_put_buf(&out);
+    buf_release(&out);
+    if (!holds)
+        cli_error("comparison", NULL, "the comparison did not hold: %s",
+                  cli_flag(&cli->line, CLI_IDENTICAL) && !m.identical ? "not identical"
+                                                                      : "relMSE is over the limit");
+    return !ok ? EXIT_MACHINE : holds ? EXIT_DONE : EXIT_FAILED;
+}
+
+static int compare(const struct cli *cli, const struct picture *x, const struct picture *r)
+{
+    if (x->width != r->width || x->height != r->height) {
+        cli_error("sizes-differ", NULL, "%s is %ux%u, %s is %ux%u", cli->line.arguments[0],
+                  x->width, x->height, cli->line.arguments[1], r->width, r->height);
+        return cli_flag(&cli->line, CLI_IDENTICAL) ? EXIT_FAILED : EXIT_INPUT;
+    }
+    if (cli_has(&cli->line, CLI_HEATMAP)) {
+        int status = write_heatmap(cli_text(&cli->line, CLI_HEATMAP), x, r);
+        if (status != EXIT_DONE)
+            return status;
+    }
+    return report(cli, x, r);
+}
+
+int command_compare(struct cli *cli)
+{
+    struct picture pictures[2] = {0};
+    struct diag_list problems;
+    int status = EXIT_DONE;
+    diag_init(&problems);
+    for (int i = 0; i < 2; i++) {
+        int one = read_picture(cli->line.arguments[i], &pictures[i], &problems);
+        status = one > status ? one : status;
+    }
+    if (problems.count)
+        (void)cli_problems(&problems, "nothing compared");
+    if (status == EXIT_DONE)
+        status = compare(cli, &pictures[0], &pictures[1]);
+    for (int i = 0; i < 2; i++)
+        mem_free(pictures[i].rgb);
+    diag_release(&problems);
+    return status;
+}

@@ -1,0 +1,322 @@
+/* client/cmd_render.c: a render on a farm of our own children.
+ *
+ * The scene is read on a second thread while the children start, and the first wait is the
+ * one for the job. Ctrl-C: the children are asked to end, nothing is left at OUT, exit 130.
+ */
+#include <errno.h>
+#include <poll.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "client/cli_help.h"
+#include "client/cmd_wait.h"
+#include "client/command.h"
+#include "client/follow.h"
+#include "client/load.h"
+#include "client/out_file.h"
+#include "client/private_farm.h"
+#include "client/signals.h"
+
+enum {
+    GRACE_MS = 1000, /* for children at the end */
+    INTERRUPT_GRACE_MS = 2000,
+    HANDSHAKE_S = 20,
+    PATIENCE_S = 20,      /* for a master that is being started again */
+    BYTES_PER_PIXEL = 12, /* three floats; compression may save some, noise hardly */
+    FILE_OVERHEAD_BYTES = 65536,
+};
+
+struct render {
+    struct cli *cli;
+    struct private_farm farm;
+    bool farm_runs;
+    struct farm api;
+    struct load load;
+    pthread_t loader;
+    bool loading;      /* the thread has not been joined */
+    int loaded_fds[2]; /* a byte when the scene is there */
+    struct progress progress;
+    double start_s;
+    char job[FARM_ID_BYTES];
+    int status; /* set by a hook that stops the wait */
+};
+
+static bool ends_in(const char *path, const char *suffix)
+{
+    size_t a = strlen(path), b = strlen(suffix);
+    return a > b && strcmp(path + a - b, suffix) == 0;
+}
+
+static int check_line(const struct cli_line *line)
+{
+    static const enum cli_option_id ids[] = {CLI_OUTPUT, CLI_PNG, CLI_REPORT};
+    if (!cli_has(line, CLI_OUTPUT)) {
+        cli_error("missing-option", "as in tilery render scene.json -o out.exr",
+                  "render needs -o OUT.exr");
+        return EXIT_USAGE;
+    }
+    if (!ends_in(cli_text(line, CLI_OUTPUT), ".exr")) {
+        cli_error("bad-value", "for looking at there is --png OUT.png", "-o %s: must end in .exr",
+                  cli_text(line, CLI_OUTPUT));
+        return EXIT_USAGE;
+    }
+    for (size_t i = 0; i < 3; i++) {
+        for (size_t k = 0; k < i; k++) {
+            if (cli_has(line, ids[i]) && cli_has(line, ids[k]) &&
+                strcmp(cli_text(line, ids[i]), cli_text(line, ids[k])) == 0) {
+                cli_error("bad-value", NULL, "%s is named twice", cli_text(line, ids[i]));
+                return EXIT_USAGE;
+            }
+        }
+    }
+    for (size_t i = 0; i < 3; i++) {
+        enum err e = cli_has(line, ids[i]) ? out_file_check(cli_text(line, ids[i]), 0) : ERR_OK;
+        if (e != ERR_OK)
+            return cli_cannot_write(cli_text(line, ids[i]), e, errno, 0, NULL);
+    }
+    return EXIT_DONE;
+}
+
+/* Before hours are spent: the disk must have room for what the picture may need. */
+static int check_room(const struct render *r)
+{
+    const char *path = cli_text(&r->cli->line, CLI_OUTPUT);
+    const struct job_crop *c = &r->load.spec.crop;
+    uint64_t bytes = (uint64_t)c->width * c->height * BYTES_PER_PIXEL + FILE_OVERHEAD_BYTES;
+    enum err e = out_file_check(path, bytes);
+    return e == ERR_OK ? EXIT_DONE
+                       : cli_cannot_write(path, e, errno, bytes, "nothing was rendered yet");
+}
+
+/* --- Starting ----------------------------------------------------------- */
+
+static void *load_thread(void *ctx)
+{
+    struct render *r = ctx;
+    load_scene(&r->load, &r->cli->line, false);
+    ssize_t ignored = write(r->loaded_fds[1], "", 1);
+    (void)ignored;
+    return NULL;
+}
+
+/* Signals belong to the main thread: the loader's mask has none. */
+static int start_loader(struct render *r)
+{
+    sigset_t all, before;
+    if (pipe(r->loaded_fds) != 0) {
+        cli_error("machine", NULL, "no pipe: %s", strerror(errno));
+        return EXIT_MACHINE;
+    }
+    (void)sigfillset(&all);
+    (void)pthread_sigmask(SIG_SETMASK, &all, &before);
+    int failed = pthread_create(&r->loader, NULL, load_thread, r);
+    (void)pthread_sigmask(SIG_SETMASK, &before, NULL);
+    r->loading = failed == 0;
+    if (failed)
+        cli_error("machine", NULL, "no thread: %s", strerror(failed));
+    return failed ? EXIT_MACHINE : EXIT_DONE;
+}
+
+static int farm_failed(struct render *r)
+{
+    cli_error("farm-failed", NULL, "the private farm failed: %s", r->farm.failure);
+    return EXIT_MACHINE;
+}
+
+static int start_farm(struct render *r)
+{
+    const struct cli_line *line = &r->cli->line;
+    uint32_t workers = cli_has(line, CLI_WORKER_COUNT) ? (uint32_t)cli_count(line, CLI_WORKER_COUNT)
+                                                       : cli_default_workers();
+    uint32_t threads = cli_has(line, CLI_THREADS) ? (uint32_t)cli_count(line, CLI_THREADS)
+                                                  : cli_default_threads(workers);
+    enum err e = private_farm_start(&r->farm, workers, threads);
+    r->farm_runs = e == ERR_OK;
+    return e == ERR_OK ? EXIT_DONE : farm_failed(r);
+}
+
+/* Both at once: the scene and the master's addresses. Ends early on a bad scene or Ctrl-C. */
+static int wait_ready(struct render *r)
+{
+    bool connected = false;
+    while (r->loading || !connected) {
+        struct pollfd fds[3] = {
+            {.fd = signals_fd(), .events = POLLIN},
+            {.fd = r->loading ? r->loaded_fds[0] : -1, .events = POLLIN},
+            {.fd = connected ? -1 : private_farm_fd(&r->farm), .events = POLLIN}};
+        (void)poll(fds, 3, 1000);
+        signals_clear();
+        if (signals_interrupts > 0)
+            return EXIT_INTERRUPTED;
+        if (r->loading && fds[1].revents) {
+            (void)pthread_join(r->loader, NULL);
+            r->loading = false;
+            int status = load_explain(&r->load);
+            if (status != EXIT_DONE)
+                return status;
+        }
+        enum err e = connected ? ERR_AGAIN : private_farm_connect(&r->farm);
+        connected |= e == ERR_OK;
+        if (e == ERR_AGAIN && !connected && follow_now_s() - r->start_s > HANDSHAKE_S) {
+            (void)snprintf(r->farm.failure, sizeof r->farm.failure,
+                           "the master did not start within %d s", HANDSHAKE_S);
+            return farm_failed(r);
+        }
+        if (e != ERR_OK && e != ERR_AGAIN)
+            return farm_failed(r);
+    }
+    return EXIT_DONE;
+}
+
+static int submit(struct render *r)
+{
+    char url[80];
+    (void)snprintf(url, sizeof url, "http://%s", r->farm.http);
+    int status = farm_open_private(&r->api, url, r->farm.token, &signals_interrupts);
+    if (status != EXIT_DONE)
+        return status;
+    struct farm_job_request request = {
+        .name = "render", .package = &r->load.package, .spec_json = r->load.spec_json};
+    return farm_submit(&r->api, &request, r->job);
+}
+
+/* --- Waiting ------------------------------------------------------------ */
+
+/* Children that ended are started again; the wait stops when that is of no use. */
+static bool on_wake(void *ctx)
+{
+    struct render *r = ctx;
+    uint32_t restarted = 0;
+    signals_clear();
+    if (signals_interrupts > 0) {
+        r->status = EXIT_INTERRUPTED;
+        return true;
+    }
+    if (private_farm_reap(&r->farm, &restarted) != ERR_OK) {
+        progress_end(&r->progress);
+        r->status = farm_failed(r);
+        return true;
+    }
+    if (restarted > 0) {
+        char line[500];
+        (void)snprintf(line, sizeof line, "%s; it is started again", r->farm.failure);
+        progress_event(&r->progress, line, follow_now_s());
+    }
+    return false;
+}
+
+static int wait_job(struct render *r, bool *done)
+{
+    progress_init(&r->progress, (enum progress_mode)command_progress_mode(r->cli),
+                  r->cli->json ? STDOUT_FILENO : STDERR_FILENO, r->start_s);
+    if (r->progress.mode == PROGRESS_LINES)
+        cli_say(r->cli, "%s: %ux%u, %llu spp, %u workers with %u threads",
+                cli_safe(r->cli->line.arguments[0]), r->load.spec.crop.width,
+                r->load.spec.crop.height, (unsigned long long)r->load.spec.spp,
+                r->farm.worker_count, r->farm.threads);
+    struct follow follow = {.farm = &r->api,
+                            .job = r->job,
+                            .progress = &r->progress,
+                            .wake_fd = signals_fd(),
+                            .on_wake = on_wake,
+                            .ctx = r,
+                            .patience_s = PATIENCE_S};
+    enum follow_end end = follow_job(&follow);
+    progress_end(&r->progress);
+    *done = end == FOLLOW_DONE;
+    if (end == FOLLOW_FARM_LOST)
+        return signals_interrupts > 0 ? EXIT_INTERRUPTED : EXIT_MACHINE;
+    return end == FOLLOW_STOPPED ? r->status : EXIT_DONE;
+}
+
+/* --- Ending ------------------------------------------------------------- */
+
+/* When the disk at OUT fills up after all: the picture goes to the temporary folder. */
+static void rescue(struct render *r)
+{
+    char path[PATH_MAX];
+    const char *root = getenv("TMPDIR");
+    (void)snprintf(path, sizeof path, "%s/tilery-saved-%ld.exr",
+                   root && root[0] == '/' ? root : "/tmp", (long)getpid());
+    if (farm_fetch_picture(&r->api, r->job, "picture.exr", path, NULL) == EXIT_DONE)
+        (void)fprintf(stderr, "  nothing lost: the picture is at %s\n", path);
+}
+
+static int fetch(struct render *r)
+{
+    const struct cli_line *line = &r->cli->line;
+    int status =
+        farm_fetch_picture(&r->api, r->job, "picture.exr", cli_text(line, CLI_OUTPUT), NULL);
+    if (status == EXIT_MACHINE)
+        rescue(r);
+    if (status == EXIT_DONE && cli_has(line, CLI_PNG))
+        status = farm_fetch_picture(&r->api, r->job, "picture.png", cli_text(line, CLI_PNG), NULL);
+    return status;
+}
+
+static void stop_interrupted(struct render *r)
+{
+    if (!r->cli->quiet && r->farm_runs && signals_interrupts == 1)
+        (void)fprintf(stderr, "stopping %u workers (again to kill)\n", r->farm.worker_count);
+    if (r->farm_runs) {
+        private_farm_ask_end(&r->farm);
+        private_farm_end(&r->farm, INTERRUPT_GRACE_MS);
+    }
+    if (r->loading) {
+        /* The loader cannot be stopped; with it still reading, nothing may be freed. */
+        (void)fflush(NULL);
+        _exit(EXIT_INTERRUPTED);
+    }
+}
+
+static int run(struct render *r)
+{
+    bool done = false;
+    int status = start_farm(r);
+    if (status == EXIT_DONE)
+        status = start_loader(r);
+    if (status == EXIT_DONE)
+        status = wait_ready(r);
+    if (status == EXIT_DONE)
+        status = check_room(r);
+    if (status == EXIT_DONE)
+        status = submit(r);
+    if (status == EXIT_DONE)
+        status = wait_job(r, &done);
+    if (status == EXIT_DONE && done)
+        status = fetch(r);
+    if (status == EXIT_DONE)
+        status = cmd_wait_report(&r->api, r->cli, r->job, cli_text(&r->cli->line, CLI_OUTPUT),
+                                 r->start_s, done);
+    /* A call that was interrupted fails in its own way; what matters is that we were. */
+    return signals_interrupts > 0 ? EXIT_INTERRUPTED : status;
+}
+
+int command_render(struct cli *cli)
+{
+    struct render r = {.cli = cli, .loaded_fds = {-1, -1}, .start_s = follow_now_s()};
+    int status = check_line(&cli->line);
+    if (status != EXIT_DONE)
+        return status;
+    if (signals_install() != ERR_OK) {
+        cli_error("machine", NULL, "cannot watch for signals: %s", strerror(errno));
+        return EXIT_MACHINE;
+    }
+    status = run(&r);
+    if (status == EXIT_INTERRUPTED)
+        stop_interrupted(&r);
+    if (r.farm_runs && status != EXIT_INTERRUPTED) {
+        private_farm_ask_end(&r.farm);
+        private_farm_end(&r.farm, GRACE_MS);
+    }
+    if (r.loading)
+        (void)pthread_join(r.loader, NULL);
+    farm_release(&r.api);
+    load_release(&r.load);
+    for (int i = 0; i < 2; i++)
+        if (r.loaded_fds[i] >= 0)
+            (void)close(r.loaded_fds[i]);
+    return status;
+}

@@ -1,0 +1,92 @@
+/* client/cmd_submit.c: submit, and the waiting that submit --wait and watch share. */
+#include "client/cmd_wait.h"
+
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "client/command.h"
+#include "client/load.h"
+#include "client/out_file.h"
+
+/* "scenes/spot.json" -> "spot" */
+static void name_of(const char *path, char *out, size_t bytes)
+{
+    const char *slash = strrchr(path, '/');
+    const char *base = slash ? slash + 1 : path;
+    const char *dot = strrchr(base, '.');
+    (void)snprintf(out, bytes, "%.*s", (int)(dot && dot != base ? dot - base : (long)strlen(base)),
+                   base);
+}
+
+static int check_outputs(const struct cli *cli)
+{
+    static const enum cli_option_id ids[] = {CLI_OUTPUT, CLI_PNG, CLI_REPORT};
+    bool wait = cli_flag(&cli->line, CLI_WAIT);
+    for (size_t i = 0; i < sizeof ids / sizeof *ids; i++) {
+        if (!cli_has(&cli->line, ids[i]))
+            continue;
+        if (!wait) {
+            cli_error("missing-option", "or fetch it later: tilery get JOB -o OUT.exr",
+                      "--%s needs --wait", cli_options[ids[i]].name);
+            return EXIT_USAGE;
+        }
+        enum err e = out_file_check(cli_text(&cli->line, ids[i]), 0);
+        if (e != ERR_OK)
+            return cli_cannot_write(cli_text(&cli->line, ids[i]), e, errno, 0, NULL);
+    }
+    return EXIT_DONE;
+}
+
+static int send_job(struct farm *farm, const struct cli *cli, struct load *load,
+                    char id[FARM_ID_BYTES])
+{
+    char name[100];
+    const struct cli_line *line = &cli->line;
+    name_of(line->arguments[0], name, sizeof name);
+    struct farm_job_request request = {
+        .name = cli_has(line, CLI_NAME) ? cli_text(line, CLI_NAME) : name,
+        .package = &load->package,
+        .spec_json = load->spec_json,
+        .priority =
+            cli_has(line, CLI_PRIORITY_N) ? strtoll(cli_text(line, CLI_PRIORITY_N), NULL, 10) : 0,
+    };
+    return farm_submit(farm, &request, id);
+}
+
+static int finish(struct farm *farm, struct cli *cli, const char *id)
+{
+    struct cmd_wait wait = {.farm = farm, .cli = cli, .job = id};
+    bool waits = cli_flag(&cli->line, CLI_WAIT);
+    if (!waits || !cli->json) {
+        char text[FARM_ID_BYTES + 16];
+        int bytes = snprintf(text, sizeof text, cli->json ? "{\"id\":\"%s\"}\n" : "%s\n", id);
+        if (!cli_put(text, (size_t)bytes))
+            return EXIT_MACHINE;
+    }
+    return waits ? cmd_wait_run(&wait) : EXIT_DONE;
+}
+
+int command_submit(struct cli *cli)
+{
+    struct load load;
+    struct farm farm;
+    char id[FARM_ID_BYTES];
+    int status = check_outputs(cli);
+    if (status != EXIT_DONE)
+        return status;
+    load_scene(&load, &cli->line, false);
+    status = load_explain(&load);
+    if (status == EXIT_DONE)
+        status = farm_open(&farm, cli);
+    if (status == EXIT_DONE) {
+        status = send_job(&farm, cli, &load, id);
+        load_release(&load);
+        if (status == EXIT_DONE)
+            status = finish(&farm, cli, id);
+        farm_release(&farm);
+        return status;
+    }
+    load_release(&load);
+    return status;
+}

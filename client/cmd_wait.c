@@ -1,0 +1,203 @@
+#include "client/cmd_wait.h"
+
+#include <errno.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "client/command.h"
+#include "client/follow.h"
+#include "client/preview.h"
+#include "client/report_text.h"
+#include "client/signals.h"
+#include "client/term.h"
+#include "common/file_io.h"
+
+enum { PATIENCE_S = 300 };
+
+int command_progress_mode(const struct cli *cli)
+{
+    static const enum progress_mode modes[] = {PROGRESS_NONE, PROGRESS_BAR, PROGRESS_LINES,
+                                               PROGRESS_NONE};
+    int choice = cli_has(&cli->line, CLI_PROGRESS) ? cli_choice(&cli->line, CLI_PROGRESS) : 0;
+    if (cli->json)
+        return PROGRESS_JSON;
+    if (cli->quiet)
+        return PROGRESS_NONE;
+    if (choice == 0)
+        return term_is_smart(STDERR_FILENO) ? PROGRESS_BAR : PROGRESS_LINES;
+    return (int)modes[choice];
+}
+
+static int write_report(const struct farm *farm, const struct cli *cli)
+{
+    if (!cli_has(&cli->line, CLI_REPORT))
+        return EXIT_DONE;
+    const char *path = cli_text(&cli->line, CLI_REPORT);
+    enum err e = file_write(path, farm->reply.body.data, farm->reply.body.bytes);
+    return e == ERR_OK ? EXIT_DONE : cli_cannot_write(path, e, 0, 0, NULL);
+}
+
+static void print_json_end(const struct farm *farm, double start_s, int exit_status)
+{
+    struct buf line;
+    buf_init(&line);
+    buf_printf(&line,
+               "{\"event\":\"end\",\"t\":%.3f,\"exit\":%d,\"report\":", follow_now_s() - start_s,
+               exit_status);
+    buf_put(&line, farm->reply.body.data, farm->reply.body.bytes);
+    while (line.bytes > 0 && line.data[line.bytes - 1] == '\n')
+        line.bytes--;
+    buf_printf(&line, "}\n");
+    (void)cli_put_buf(&line);
+    buf_release(&line);
+}
+
+static void print_block(const struct json *report, const char *title)
+{
+    struct buf text;
+    buf_init(&text);
+    report_text(report, title, &text);
+    if (buf_status(&text) == ERR_OK)
+        (void)fwrite(text.data, 1, text.bytes, stderr);
+    buf_release(&text);
+}
+
+static void say_failure(const struct json *report, const char *job)
+{
+    const char *state = reply_text(report, "state", "failed");
+    const char *cause = reply_text(report, "failure", reply_text(report, "note", ""));
+    if (strcmp(state, "cancelled") == 0)
+        cli_error("cancelled", NULL, "%s was cancelled", job);
+    else
+        cli_error("job-failed", NULL, "%s failed%s%s", job, cause[0] ? ": " : "", cause);
+}
+
+int cmd_wait_report(struct farm *farm, const struct cli *cli, const char *job, const char *title,
+                    double start_s, bool job_ok)
+{
+    struct farm_json reply;
+    char path[FARM_PATH_BYTES];
+    int status = farm_job_path(job, "", path);
+    if (status == EXIT_DONE)
+        status = farm_call(farm, "GET", path, NULL, &reply);
+    if (status != EXIT_DONE)
+        return status;
+    status = write_report(farm, cli);
+    if (status == EXIT_DONE && !job_ok)
+        status = EXIT_FAILED;
+    if (cli->json)
+        print_json_end(farm, start_s, status);
+    else if (!cli->quiet)
+        print_block(reply.json.root, title);
+    if (!job_ok)
+        say_failure(reply.json.root, job);
+    farm_json_release(&reply);
+    return status;
+}
+
+/* What the hooks of the wait see. */
+struct watching {
+    struct cmd_wait *wait;
+    struct progress progress;
+    struct preview preview;
+};
+
+static bool on_wake(void *ctx)
+{
+    struct watching *w = ctx;
+    signals_clear();
+    if (w->wait->preview)
+        preview_refresh(&w->preview, w->wait->farm, w->wait->job, &w->progress, follow_now_s());
+    return signals_interrupts > 0;
+}
+
+static int fetch_pictures(struct cmd_wait *w)
+{
+    const struct cli_line *line = &w->cli->line;
+    char rescue[FARM_PATH_BYTES];
+    int status = EXIT_DONE;
+    (void)snprintf(rescue, sizeof rescue, "nothing lost: tilery get %s -o ELSEWHERE.exr", w->job);
+    if (cli_has(line, CLI_OUTPUT))
+        status =
+            farm_fetch_picture(w->farm, w->job, "picture.exr", cli_text(line, CLI_OUTPUT), rescue);
+    if (status == EXIT_DONE && cli_has(line, CLI_PNG))
+        status =
+            farm_fetch_picture(w->farm, w->job, "picture.png", cli_text(line, CLI_PNG), rescue);
+    return status;
+}
+
+static int ended(struct cmd_wait *w, enum follow_end end, double start_s)
+{
+    const struct cli_line *line = &w->cli->line;
+    const char *title = cli_has(line, CLI_OUTPUT) ? cli_text(line, CLI_OUTPUT) : w->job;
+    int status = EXIT_DONE;
+    if (end == FOLLOW_FARM_LOST)
+        return EXIT_FARM;
+    if (end == FOLLOW_STOPPED) {
+        (void)fprintf(stderr, "%s goes on; stop it: tilery cancel %s\n", w->job, w->job);
+        return EXIT_INTERRUPTED;
+    }
+    if (end == FOLLOW_DONE && line->command == CLI_SUBMIT)
+        status = fetch_pictures(w);
+    int report = cmd_wait_report(w->farm, w->cli, w->job, title, start_s, end == FOLLOW_DONE);
+    return status != EXIT_DONE ? status : report;
+}
+
+/* What would end a wait for workers, in the farm's own address. */
+static void advice_of(struct farm *farm, char *out, size_t bytes)
+{
+    struct farm_json reply;
+    (void)snprintf(out, bytes, "start one: tilery-worker --master HOST:PORT");
+    if (farm_try(farm, "GET", "/api/v1/farm", &reply) != ERR_OK || farm->reply.status != 200)
+        return;
+    const char *address = reply_text(reply.json.root, "listen", NULL);
+    if (address)
+        (void)snprintf(out, bytes, "start one: tilery-worker --master %s", cli_safe(address));
+    farm_json_release(&reply);
+}
+
+int cmd_wait_run(struct cmd_wait *w)
+{
+    struct watching watching = {.wait = w};
+    char advice[200], path[FARM_PATH_BYTES];
+    double start_s = follow_now_s();
+    int status = farm_job_path(w->job, "", path);
+    if (status != EXIT_DONE)
+        return status;
+    if (signals_install() != ERR_OK) {
+        cli_error("machine", NULL, "cannot watch for signals: %s", strerror(errno));
+        return EXIT_MACHINE;
+    }
+    progress_init(&watching.progress, (enum progress_mode)command_progress_mode(w->cli),
+                  w->cli->json ? STDOUT_FILENO : STDERR_FILENO, start_s);
+    w->preview = w->preview && watching.progress.mode == PROGRESS_BAR;
+    preview_init(&watching.preview, STDERR_FILENO);
+    advice_of(w->farm, advice, sizeof advice);
+    watching.progress.now.advice = advice;
+    struct follow follow = {.farm = w->farm,
+                            .job = w->job,
+                            .progress = &watching.progress,
+                            .wake_fd = signals_fd(),
+                            .on_wake = on_wake,
+                            .ctx = &watching,
+                            .patience_s = PATIENCE_S};
+    enum follow_end end = follow_job(&follow);
+    if (end == FOLLOW_DONE && w->preview)
+        preview_refresh(&watching.preview, w->farm, w->job, &watching.progress, 1e300);
+    progress_end(&watching.progress);
+    preview_release(&watching.preview);
+    return ended(w, end, start_s);
+}
+
+int command_watch(struct cli *cli)
+{
+    struct farm farm;
+    int status = farm_open(&farm, cli);
+    if (status != EXIT_DONE)
+        return status;
+    struct cmd_wait wait = {
+        .farm = &farm, .cli = cli, .job = cli->line.arguments[0], .preview = true};
+    status = cmd_wait_run(&wait);
+    farm_release(&farm);
+    return status;
+}

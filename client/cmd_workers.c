@@ -1,0 +1,94 @@
+/* client/cmd_workers.c: workers and drain. */
+#include <math.h>
+#include <string.h>
+
+#include "client/command.h"
+#include "client/farm_api.h"
+#include "client/human.h"
+#include "client/text_table.h"
+
+static const char *const worker_headings[] = {"WORKER", "HOST",  "STATE", "JOB",  "THREADS",
+                                              "SPEED",  "UNITS", "LOST",  "SEEN", "NOTE"};
+static const char worker_align[] = "llllrrrrrl";
+
+static void add_worker(struct text_table *t, const struct json *w)
+{
+    char text[HUMAN_BYTES];
+    const char *state = reply_text(w, "state", NULL);
+    text_table_add(t, reply_text(w, "id", NULL));
+    text_table_add(t, reply_text(w, "host", reply_text(w, "name", NULL)));
+    text_table_add(t, state && strcmp(state, "set-aside") == 0 ? "set aside" : state);
+    text_table_add(t, reply_text(w, "job", NULL));
+    text_table_addf(t, "%.0f", reply_number(w, "threads", 0));
+    double speed = reply_number(w, "speed_rays_s", 0);
+    if (speed > 0)
+        text_table_addf(t, speed < 9.95e6 ? "%.1f Mr/s" : "%.0f Mr/s", speed / 1e6);
+    else
+        text_table_add(t, NULL);
+    text_table_addf(t, "%.0f", reply_number(w, "units", 0));
+    text_table_addf(t, "%.0f", reply_number(w, "lost", 0));
+    human_age(reply_number(w, "seen_s", (double)NAN), text);
+    text_table_add(t, text);
+    text_table_add(t, reply_text(w, "note", NULL));
+}
+
+static int print_workers(const struct cli *cli, const struct json *items)
+{
+    bool array = items && items->type == JSON_ARRAY;
+    bool ok = true;
+    if (cli->json) {
+        struct buf out;
+        buf_init(&out);
+        if (array)
+            reply_put(items, &out);
+        else
+            buf_printf(&out, "[]");
+        buf_printf(&out, "\n");
+        ok = cli_put_buf(&out);
+        buf_release(&out);
+    } else if (!array || items->count == 0) {
+        cli_say(cli, "no workers yet; start one: tilery-worker --master HOST:PORT");
+    } else {
+        struct text_table table;
+        text_table_init(&table, worker_headings, worker_align);
+        for (const struct json *v = items->first; v; v = v->next)
+            if (v->type == JSON_OBJECT)
+                add_worker(&table, v);
+        ok = command_put_table(cli, &table);
+        text_table_release(&table);
+    }
+    return ok ? EXIT_DONE : EXIT_MACHINE;
+}
+
+int command_workers(struct cli *cli)
+{
+    struct farm farm;
+    struct farm_json reply;
+    int status = farm_open(&farm, cli);
+    if (status != EXIT_DONE)
+        return status;
+    status = farm_call(&farm, "GET", "/api/v1/workers", NULL, &reply);
+    if (status == EXIT_DONE) {
+        status = print_workers(cli, json_get_member(reply.json.root, "items"));
+        farm_json_release(&reply);
+    }
+    farm_release(&farm);
+    return status;
+}
+
+int command_drain(struct cli *cli)
+{
+    char path[FARM_PATH_BYTES];
+    struct buf body;
+    const char *id = cli->line.arguments[0];
+    if (strlen(id) >= FARM_ID_BYTES || strpbrk(id, "/?#% ") || !id[0]) {
+        cli_error("unknown-worker", "see tilery workers", "no worker \"%s\"", id);
+        return EXIT_FARM;
+    }
+    (void)snprintf(path, sizeof path, "/api/v1/workers/%s", id);
+    buf_init(&body);
+    buf_printf(&body, "{\"state\":\"draining\"}");
+    int status = command_patch(cli, path, &body, "finishes what it holds and takes no more");
+    buf_release(&body);
+    return status;
+}

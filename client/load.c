@@ -1,0 +1,145 @@
+#include "client/load.h"
+
+#include <string.h>
+#include <strings.h>
+
+#include "client/cli.h"
+#include "common/mem.h"
+#include "common/scene_json.h"
+
+static bool has_suffix(const char *text, const char *suffix)
+{
+    size_t a = strlen(text), b = strlen(suffix);
+    return a >= b && strcasecmp(text + a - b, suffix) == 0;
+}
+
+static bool is_model(const char *path)
+{
+    static const char *const suffixes[] = {".obj", ".ply", ".gltf", ".glb",  ".fbx",
+                                           ".stl", ".dae", ".3ds",  ".blend"};
+    for (size_t i = 0; i < sizeof suffixes / sizeof *suffixes; i++)
+        if (has_suffix(path, suffixes[i]))
+            return true;
+    return false;
+}
+
+static void take_choices(struct job_spec *spec, const struct cli_line *line)
+{
+    if (cli_has(line, CLI_INTEGRATOR))
+        spec->integrator = (enum job_integrator)cli_choice(line, CLI_INTEGRATOR);
+    if (cli_has(line, CLI_SAMPLER))
+        spec->sampler = (enum job_sampler)cli_choice(line, CLI_SAMPLER);
+    if (cli_has(line, CLI_PRECISION))
+        spec->precision = (enum job_precision)cli_choice(line, CLI_PRECISION);
+    if (cli_has(line, CLI_BUILDER))
+        spec->builder = (enum job_builder)cli_choice(line, CLI_BUILDER);
+    if (cli_has(line, CLI_INTERSECTOR))
+        spec->intersector = (enum job_intersector)cli_choice(line, CLI_INTERSECTOR);
+}
+
+static void take_size(struct job_spec *spec, const struct cli_line *line)
+{
+    if (cli_has(line, CLI_SIZE_WH)) {
+        cli_size(line, &spec->width, &spec->height);
+        spec->crop = (struct job_crop){.width = spec->width, .height = spec->height};
+    }
+    if (cli_has(line, CLI_CROP_XYWH))
+        spec->crop = cli_crop(line);
+}
+
+static void apply_options(struct job_spec *spec, const struct cli_line *line)
+{
+    take_size(spec, line);
+    take_choices(spec, line);
+    if (cli_has(line, CLI_SPP))
+        spec->spp = cli_count(line, CLI_SPP);
+    if (cli_has(line, CLI_SEED))
+        spec->seed = cli_count(line, CLI_SEED);
+    if (cli_has(line, CLI_MAX_DEPTH))
+        spec->max_depth = (uint32_t)cli_count(line, CLI_MAX_DEPTH);
+    if (cli_has(line, CLI_TILE))
+        spec->tile = (uint32_t)cli_count(line, CLI_TILE);
+}
+
+/* Problems that come from the options and not from the file. */
+static bool options_fit(struct load *load, const struct cli_line *line)
+{
+    const struct job_spec *s = &load->spec;
+    const struct job_crop *c = &s->crop;
+    if (cli_has(line, CLI_CROP_XYWH) &&
+        ((uint64_t)c->x + c->width > s->width || (uint64_t)c->y + c->height > s->height)) {
+        diag_add(&load->problems, DIAG_ERROR, (struct diag_place){0}, "bad-value",
+                 "X,Y is the upper left corner, W,H the size",
+                 "--crop %s reaches over the %ux%u picture", cli_text(line, CLI_CROP_XYWH),
+                 s->width, s->height);
+        return false;
+    }
+    return job_spec_valid(s, &load->problems);
+}
+
+static void check_light(struct load *load, const char *path, const struct cli_line *line)
+{
+    if (!cli_has(line, CLI_INTEGRATOR) || scene_can_be_lit(&load->scene, load->spec.integrator))
+        return;
+    diag_add(&load->problems, DIAG_ERROR, (struct diag_place){.file = path}, "no-light",
+             "another --integrator may see the scene's lights",
+             "nothing could ever light this scene under --integrator %s",
+             job_integrator_names[load->spec.integrator]);
+    load->status = EXIT_INPUT;
+}
+
+static void make_package(struct load *load)
+{
+    load->spec_json = job_spec_to_json(&load->spec);
+    if (!load->spec_json || package_write(&load->scene, &load->package) != ERR_OK) {
+        load->status = EXIT_MACHINE;
+        return;
+    }
+    load->has_package = true;
+}
+
+void load_scene(struct load *load, const struct cli_line *line, bool scene_only)
+{
+    const char *path = line->arguments[0];
+    *load = (struct load){0};
+    diag_init(&load->problems);
+    if (is_model(path)) {
+        diag_add(&load->problems, DIAG_ERROR, (struct diag_place){.file = path}, "not-built",
+                 "write a scene JSON whose objects name the model",
+                 "rendering a model file without a scene is not built yet");
+        load->status = EXIT_USAGE;
+        return;
+    }
+    enum err e = scene_json_read_file(path, &load->scene, &load->spec, &load->problems);
+    if (e != ERR_OK) {
+        load->status = e == ERR_NOMEM ? EXIT_MACHINE : EXIT_INPUT;
+        return;
+    }
+    load->has_scene = true;
+    apply_options(&load->spec, line);
+    if (!options_fit(load, line))
+        load->status = EXIT_USAGE;
+    else
+        check_light(load, path, line);
+    if (load->status == EXIT_DONE && !scene_only)
+        make_package(load);
+}
+
+void load_release(struct load *load)
+{
+    if (load->has_scene)
+        scene_release(&load->scene);
+    if (load->has_package)
+        package_release(&load->package);
+    mem_free(load->spec_json);
+    diag_release(&load->problems);
+    *load = (struct load){0};
+}
+
+int load_explain(const struct load *load)
+{
+    (void)cli_problems(&load->problems, load->status ? "no job made" : NULL);
+    if (load->status == EXIT_MACHINE)
+        cli_error("no-memory", NULL, "out of memory while reading the scene");
+    return load->status;
+}

@@ -1,0 +1,30 @@
+/* client/load.h: a scene file and the options of a command line into what the farm takes.
+ *
+ * Blocking; may run on a thread of its own, since it owns all that it makes.
+ */
+#ifndef CLIENT_LOAD_H
+#define CLIENT_LOAD_H
+
+#include "client/cli_option.h"
+#include "common/package.h"
+#include "common/scene.h"
+
+struct load {
+    struct scene scene;
+    struct job_spec spec;
+    struct package package;
+    char *spec_json;           /* owned */
+    struct diag_list problems; /* errors and warnings, also after success */
+    bool has_scene, has_package;
+    int status; /* exit status: 0, 2 (options do not fit), 3 (bad scene), 5 */
+};
+
+/* Reads, applies the options, checks, and, unless `scene_only`, makes the package. The result is
+ * in load->status and load->problems. */
+void load_scene(struct load *load, const struct cli_line *line, bool scene_only);
+void load_release(struct load *load);
+
+/* Prints what load found; its exit status. */
+int load_explain(const struct load *load);
+
+#endif
