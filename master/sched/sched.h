@@ -131,6 +131,9 @@ enum sched_event_type {
     SCHED_UNIT_FAILED, /* .epoch: worker could not render that unit */
     /* .mismatch: bits of a COMPARE differ from those accepted. */
     SCHED_MISMATCH,
+    /* Every SCHED_CELLS_RESET that follows from one SCHED_LIAR was fed. No job becomes done
+     * before. */
+    SCHED_LIAR_SETTLED,
 };
 
 /* Blocks [block_begin, block_end) of a run of cells, done in an earlier life. */
@@ -141,9 +144,10 @@ struct sched_done {
 
 struct sched_job_add {
     uint32_t cell_count, block_count;
-    double cell_cost;    /* pixels x samples of an average spot, > 0 */
-    double verify_share; /* of units rendered twice by different workers, 0..1 */
-    int32_t priority;    /* higher first */
+    double cell_cost;        /* pixels x samples of an average spot, > 0 */
+    uint32_t unit_cells_max; /* what one result frame can carry; 0: no cap */
+    double verify_share;     /* of units rendered twice by different workers, 0..1 */
+    int32_t priority;        /* higher first */
     bool paused;
     void *memory; /* sched_job_bytes(), aligned to 64; lent until SCHED_JOB_REMOVE */
     /* What is done already, in the order in which it was accepted or by rising block (a spot

@@ -1,0 +1,318 @@
+/* master/sched/sched_impl.h: the scheduler's tables, shared by its files only.
+ *
+ * sched.c            start, events in, actions out
+ * sched_cells.c      spots of one job: window, owners, progress
+ * sched_jobs.c       life of a job
+ * sched_workers.c    life and health of a worker
+ * sched_leases.c     life of a lease: begun, ended, blamed
+ * sched_assign.c     who gets what next
+ * sched_results.c    results and checks
+ * sched_report.c     what people see
+ * sched_check.c      the invariants
+ *
+ * Records refer to each other by slot. Nothing here allocates after sched_new().
+ */
+#ifndef MASTER_SCHED_SCHED_IMPL_H
+#define MASTER_SCHED_SCHED_IMPL_H
+
+#include "master/sched/cellset.h"
+#include "master/sched/chain.h"
+#include "master/sched/eta.h"
+#include "master/sched/sched.h"
+#include "master/sched/slotmap.h"
+#include "master/sched/timers.h"
+
+/* Who owns an open spot: a lease slot, a suspect slot with OWNER_SUSPECT set, or: */
+#define OWNER_NONE    UINT32_MAX       /* waiting */
+#define OWNER_DONE    (UINT32_MAX - 1) /* accepted, a lower block of the cell is not */
+#define OWNER_SUSPECT (UINT32_C(1) << 31)
+
+enum {
+    WORKER_JOBS = 4,         /* jobs of which a worker may hold the scene at once */
+    COPIES_MAX = 2,          /* end-game copies of one unit beside the first lease */
+    FAULT_POINTS = 4,        /* a fault weighs as much as so many good results... */
+    FAULT_POINTS_ASIDE = 16, /* ...and so many points set a worker aside */
+    UNFIT_POINTS = 2,        /* a worker says that it cannot render the job */
+    UNFIT_POINTS_LOST = 1,   /* a worker is lost while it gets ready */
+    UNFIT_POINTS_FAIL = 6,   /* without anyone ready in between: the job fails */
+    TICK_MS = 100,           /* while workers are idle and leases are out */
+};
+
+struct spot_counts {
+    uint64_t done, waiting, leased; /* the rest is shut */
+};
+
+struct job {
+    uint64_t id;
+    enum sched_job_state state;
+    bool removed; /* slot is freed once every worker was told */
+    bool closing; /* workers must be told: sched_next walks them from close_slot on */
+    uint32_t close_slot;
+    int32_t priority;
+    uint32_t unit_cells_max;
+    uint32_t reserved; /* workers that are being emptied for a suspect of this job */
+
+    /* The spots; tables in the caller's memory. */
+    uint32_t cell_count, block_count;
+    double cell_cost, verify_share;
+    struct cellset_shape shape;
+    uint32_t *owner;         /* [cell][block % SCHED_WINDOW], for open blocks */
+    uint16_t *frontier;      /* [cell] */
+    float *cost_s;           /* [cell]: thread-seconds per block; 0: not measured */
+    uint64_t *waiting;       /* [block]: the set of its waiting cells */
+    uint32_t *waiting_count; /* [block] */
+    uint64_t waiting_blocks[JOB_BLOCKS_MAX / 64]; /* blocks with waiting cells */
+    struct spot_counts spots;
+
+    /* Leases and units held back. */
+    struct chain solo;           /* leases that own spots and have no copy, oldest first */
+    struct chain others;         /* copies, copied ones, checks */
+    uint32_t begun;              /* leases begun */
+    struct chain suspects;       /* pending, to be leased again whole */
+    struct chain suspects_alone; /* pending, to be leased alone */
+    struct chain checks;         /* pending, in need of another worker */
+    struct chain checks_out;     /* leased */
+    uint32_t unfit_points;
+
+    /* Measures. */
+    uint64_t started_ms;       /* first lease; UINT64_MAX: none yet */
+    double samples, samples_s; /* accepted, and the thread-seconds they took */
+    double committed_s;        /* cost of the measured spots */
+    uint64_t measured_spots;
+    double known_s; /* cost of the open spots of measured cells */
+    uint64_t known_spots;
+    struct eta_spread spread;
+    double done_shown; /* highest share that was ever shown */
+    uint64_t units, retried, speculated, rejected, compared, verified, mismatched, cells_reset;
+};
+
+struct worker_job {
+    uint64_t job; /* id; 0: free entry */
+    bool open, ready;
+    uint32_t unfit;           /* how often it could not render it */
+    uint64_t barred_until_ms; /* 0: not barred */
+    uint64_t opened_ms;
+    uint32_t leases;
+    double speed;       /* pixel-samples per second and thread; 0: unknown */
+    uint32_t target_ms; /* duration of the next unit */
+    uint64_t used_ms;
+};
+
+enum worker_list { LIST_NONE, LIST_STARVING, LIST_PREFETCH, LIST_GONE };
+
+struct worker {
+    uint64_t handle;
+    bool connected, draining, drained_told, quarantined, set_aside;
+    bool counted;          /* its threads are part of sched.threads */
+    bool alone;            /* renders a suspect alone */
+    uint64_t reserved_job; /* gets nothing until it is empty, then a suspect of this job; 0: no */
+    uint32_t threads;
+    uint64_t rtt_us;
+    struct chain begun, queued; /* its leases, oldest first */
+    uint32_t held;
+    enum worker_list list;
+    struct worker_job jobs[WORKER_JOBS];
+    uint32_t fault_points, pauses;
+    uint32_t good_results; /* since the last pause */
+    uint64_t until_ms;     /* of the pause */
+    uint64_t units, lost, failed, timeouts, differed;
+    double speed_shown;
+};
+
+struct lease {
+    uint64_t epoch;
+    uint32_t worker, job;
+    struct unit unit;
+    enum sched_lease_kind kind;
+    bool owner; /* owns spots; else a copy or a check */
+    bool begun;
+    bool alone;
+    bool solo;     /* in the job's solo chain */
+    bool revoked;  /* ended; waits for its REVOKE to be taken */
+    uint32_t open; /* spots it owns */
+    uint32_t twin; /* ring of the leases of one unit */
+    uint32_t suspect, check;
+    uint64_t leased_ms, begun_ms;
+    uint32_t expected_ms;
+};
+
+/* A unit whose begun lease lost a worker. */
+struct suspect {
+    uint32_t job;
+    struct unit unit;
+    uint32_t losses, losses_alone;
+    uint32_t lease; /* SLOT_NONE: pending */
+    uint32_t open;  /* spots it holds while pending */
+};
+
+struct vote {
+    uint64_t worker, digest;
+};
+
+/* A unit that is rendered by several workers; vote 0 is the accepted version. */
+struct check {
+    uint32_t job;
+    struct unit unit;
+    struct vote votes[SCHED_VOTES_MAX];
+    uint32_t vote_count;
+    uint32_t lease; /* SLOT_NONE: pending */
+};
+
+/* A table of records with free slots kept in a chain. */
+struct pool {
+    struct link *links;
+    struct chain free;
+};
+
+/* The result that is being answered. */
+struct scan {
+    bool active;
+    uint32_t job; /* slot; SLOT_NONE: all of it is ignored */
+    uint64_t job_id, worker;
+    struct sched_result result;
+    uint32_t at; /* cells answered */
+    uint32_t accepted;
+    double cell_s;      /* thread-seconds of one cell */
+    enum sched_why why; /* with job SLOT_NONE */
+    bool vote;
+};
+
+struct sched {
+    struct sched_limits limits;
+    uint64_t now_ms;
+    uint64_t epoch_next;
+    uint32_t liars_unsettled;
+
+    struct slotmap job_map, worker_map, lease_map;
+    struct job *jobs;
+    struct worker *workers;
+    struct lease *leases;
+    struct link *lease_worker_links; /* begun and queued; revoked */
+    struct link *lease_job_links;    /* solo and others */
+    struct link *worker_links;       /* starving, prefetch, gone */
+    struct chain starving, prefetch, gone, revoked;
+    struct suspect *suspects;
+    struct pool suspect_pool;
+    struct check *checks;
+    struct pool check_pool;
+    uint32_t *job_rank; /* slots by falling priority, then arrival */
+    uint32_t job_rank_count;
+    uint32_t threads;     /* of workers that may take work */
+    struct timers timers; /* lease slots, then worker slots */
+
+    struct scan scan;
+    struct sched_action *news; /* ring */
+    uint32_t news_begin, news_count, news_capacity;
+    struct sched_action stash; /* a LEASE behind its OPEN_JOB */
+    bool stashed;
+    uint32_t tries_work, tries_copy; /* workers that may still go without before the next event */
+};
+
+/* --- sched.c --- */
+void sched_news_push(struct sched *s, const struct sched_action *a);
+
+/* --- sched_cells.c --- */
+enum spot_state { SPOT_SHUT, SPOT_WAITING, SPOT_LEASED, SPOT_DONE };
+void job_cells_init(struct job *j, const struct sched_job_add *add);
+void job_cells_restore(struct sched *s, struct job *j, const struct sched_done *done, size_t count);
+enum spot_state job_spot_state(const struct job *j, uint32_t cell, uint32_t block);
+uint32_t *job_spot_owner(const struct job *j, uint32_t cell, uint32_t block);
+/* A run of waiting cells of the lowest block: how many, at most `cells_max`; 0: none. */
+uint32_t job_waiting_run(const struct job *j, uint32_t cells_max, struct unit *out);
+void job_spot_take(struct job *j, uint32_t cell, uint32_t block, uint32_t owner);
+void job_spot_give_back(struct job *j, uint32_t cell, uint32_t block);
+/* Counts a spot as done, whoever owned it; `cost_s` as measured, 0: not. */
+void job_spot_finish(struct sched *s, struct job *j, uint32_t cell, uint32_t block, double cost_s);
+void job_cells_reset(struct sched *s, struct job *j, struct unit unit);
+/* Expected thread-seconds of one cell of the job in one block; 0: nothing is known yet. */
+double job_cell_seconds(const struct job *j, uint32_t cell);
+double job_left_seconds(const struct job *j, double *unknown_s);
+double job_done_share(const struct job *j);
+void job_progress_update(struct job *j);
+void job_known_update(struct job *j, uint32_t cell, int sign);
+uint64_t job_spot_count(const struct job *j);
+
+/* --- sched_jobs.c --- */
+bool jobs_feed(struct sched *s, const struct sched_event *e);
+void job_fail(struct sched *s, uint32_t job, enum sched_why why, struct unit unit);
+/* Declares the job done if it is. */
+void job_settle(struct sched *s, uint32_t job);
+void job_reopen(struct sched *s, uint32_t job);
+/* One step of telling workers that a job is over; false when there is nothing to tell. */
+bool jobs_close_next(struct sched *s, struct sched_action *out);
+
+/* --- sched_workers.c --- */
+bool workers_feed(struct sched *s, const struct sched_event *e);
+bool worker_usable(const struct worker *w);
+uint32_t worker_allowance(const struct sched *s, const struct worker *w);
+/* Puts the worker into the list where it belongs, at its end. */
+void worker_place(struct sched *s, uint32_t worker);
+void worker_unreserve(struct sched *s, uint32_t worker);
+void worker_unlist(struct sched *s, uint32_t worker);
+struct worker_job *worker_job_find(struct worker *w, uint64_t job);
+/* The worker's entry of a job, made if needed; NULL when all entries hold leases. */
+struct worker_job *worker_job_get(struct sched *s, struct worker *w, uint64_t job);
+bool worker_barred(const struct sched *s, struct worker *w, uint64_t job);
+void worker_begin_leases(struct sched *s, uint32_t worker);
+void worker_fault(struct sched *s, uint32_t worker);
+void worker_good(struct sched *s, uint32_t worker);
+void worker_quarantine(struct sched *s, uint32_t worker);
+void worker_timer_fired(struct sched *s, uint32_t worker);
+void worker_timer_set(struct sched *s, uint32_t worker);
+void worker_job_unfit(struct sched *s, uint32_t worker, struct worker_job *wj, uint32_t points);
+enum sched_worker_state worker_state(const struct worker *w);
+
+/* --- sched_leases.c --- */
+enum lease_end {
+    END_ANSWERED, /* its result or failure arrived */
+    END_REVOKED,  /* worker must be told */
+    END_DROPPED,  /* worker is gone */
+};
+/* SLOT_NONE when the table is full. Takes no spots. */
+uint32_t lease_new(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,
+                   enum sched_lease_kind kind);
+void lease_own(struct sched *s, uint32_t lease);
+void lease_join(struct sched *s, uint32_t lease, uint32_t twin);
+void lease_end(struct sched *s, uint32_t lease, enum lease_end how, bool blame);
+void lease_release_unit(struct sched *s, uint32_t lease);
+void lease_begin(struct sched *s, uint32_t lease);
+void lease_timer_fired(struct sched *s, uint32_t lease);
+void lease_spot_lost(struct sched *s, uint32_t owner);
+void suspect_free(struct sched *s, uint32_t suspect);
+/* The spots of a pending suspect wait again, one by one; its losses are forgotten. */
+void suspect_dissolve(struct sched *s, uint32_t suspect);
+void job_leases_revoke(struct sched *s, uint32_t job);
+void worker_leases_end(struct sched *s, uint32_t worker, uint64_t job, enum lease_end how,
+                       bool blame);
+
+/* --- sched_assign.c --- */
+/* After every event: workers may be tried again. */
+void assign_rearm(struct sched *s);
+bool assign_next(struct sched *s, struct sched_action *out);
+double worker_speed_ratio(const struct sched *s, struct worker *w, const struct job *j);
+uint32_t unit_expected_ms(const struct sched *s, struct worker *w, const struct job *j,
+                          struct unit unit);
+
+/* --- sched_results.c --- */
+void result_feed(struct sched *s, const struct sched_event *e);
+bool scan_next(struct sched *s, struct sched_action *out);
+bool mismatch_feed(struct sched *s, const struct sched_event *e);
+void check_free(struct sched *s, uint32_t check);
+void job_checks_drop(struct sched *s, uint32_t job, uint32_t cell_begin, uint32_t cell_count);
+
+static inline uint32_t job_slot(const struct sched *s, const struct job *j)
+{
+    return (uint32_t)(j - s->jobs);
+}
+
+static inline uint32_t worker_slot(const struct sched *s, const struct worker *w)
+{
+    return (uint32_t)(w - s->workers);
+}
+
+static inline bool job_is_live(const struct job *j)
+{
+    return j->state == SCHED_ACTIVE || j->state == SCHED_PAUSED;
+}
+
+#endif

@@ -1,0 +1,379 @@
+/* The life of a lease: given, begun, ended; and who is blamed when a worker is lost. */
+#include "master/sched/sched_impl.h"
+
+static struct chain *lease_job_chain(struct job *j, const struct lease *l)
+{
+    return l->solo ? &j->solo : &j->others;
+}
+
+static void set_solo(struct sched *s, uint32_t lease, bool solo)
+{
+    struct lease *l = &s->leases[lease];
+    struct job *j = &s->jobs[l->job];
+    if (l->solo == solo)
+        return;
+    chain_remove(lease_job_chain(j, l), s->lease_job_links, lease);
+    l->solo = solo;
+    chain_push(lease_job_chain(j, l), s->lease_job_links, lease);
+}
+
+uint32_t lease_new(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,
+                   enum sched_lease_kind kind)
+{
+    struct worker *w = &s->workers[worker];
+    struct job *j = &s->jobs[job];
+    struct worker_job *wj = worker_job_find(w, j->id);
+    TL_ASSERT(wj && worker_usable(w) && j->state == SCHED_ACTIVE);
+    uint32_t slot = slotmap_add(&s->lease_map, s->epoch_next);
+    if (slot == SLOT_NONE)
+        return SLOT_NONE;
+    s->leases[slot] = (struct lease){.epoch = s->epoch_next++,
+                                     .worker = worker,
+                                     .job = job,
+                                     .unit = unit,
+                                     .kind = kind,
+                                     .twin = slot,
+                                     .suspect = SLOT_NONE,
+                                     .check = SLOT_NONE,
+                                     .leased_ms = s->now_ms,
+                                     .expected_ms = unit_expected_ms(s, w, j, unit)};
+    chain_push(&j->others, s->lease_job_links, slot);
+    chain_push(&w->queued, s->lease_worker_links, slot);
+    w->held++;
+    wj->leases++;
+    wj->used_ms = s->now_ms;
+    if (j->started_ms == UINT64_MAX)
+        j->started_ms = s->now_ms;
+    return slot;
+}
+
+/* The lease takes the spots of its unit, which wait or are held by its suspect. */
+void lease_own(struct sched *s, uint32_t lease)
+{
+    struct lease *l = &s->leases[lease];
+    struct job *j = &s->jobs[l->job];
+    for (uint32_t i = 0; i < l->unit.cell_count; i++) {
+        uint32_t cell = l->unit.cell_begin + i;
+        if (l->suspect == SLOT_NONE)
+            job_spot_take(j, cell, l->unit.block, lease);
+        else
+            *job_spot_owner(j, cell, l->unit.block) = lease;
+    }
+    l->owner = true;
+    l->open = l->unit.cell_count;
+    set_solo(s, lease, true);
+}
+
+/* Makes `lease` a copy of the unit of `twin`. */
+void lease_join(struct sched *s, uint32_t lease, uint32_t twin)
+{
+    s->leases[lease].twin = s->leases[twin].twin;
+    s->leases[twin].twin = lease;
+    set_solo(s, twin, false);
+}
+
+/* Takes `lease` out of its ring; gives one that stays, or SLOT_NONE. */
+static uint32_t lease_leave(struct sched *s, uint32_t lease)
+{
+    uint32_t stays = s->leases[lease].twin;
+    if (stays == lease)
+        return SLOT_NONE;
+    uint32_t before = stays;
+    while (s->leases[before].twin != lease)
+        before = s->leases[before].twin;
+    s->leases[before].twin = stays;
+    s->leases[lease].twin = lease;
+    return stays;
+}
+
+/* Moves the spots that `from` owns to `owner`: a lease, a suspect, or nobody. */
+static uint32_t spots_hand_over(struct sched *s, uint32_t from, const struct lease *l,
+                                uint32_t owner)
+{
+    struct job *j = &s->jobs[l->job];
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < l->unit.cell_count; i++) {
+        uint32_t cell = l->unit.cell_begin + i;
+        if (job_spot_state(j, cell, l->unit.block) != SPOT_LEASED)
+            continue;
+        uint32_t *at = job_spot_owner(j, cell, l->unit.block);
+        if (*at != from)
+            continue;
+        count++;
+        if (owner == OWNER_NONE)
+            job_spot_give_back(j, cell, l->unit.block);
+        else
+            *at = owner;
+    }
+    return count;
+}
+
+static struct chain *suspect_chain(struct job *j, const struct suspect *p)
+{
+    return p->losses >= SCHED_LOSSES_COMPANY ? &j->suspects_alone : &j->suspects;
+}
+
+void suspect_free(struct sched *s, uint32_t suspect)
+{
+    struct suspect *p = &s->suspects[suspect];
+    if (p->lease == SLOT_NONE)
+        chain_remove(suspect_chain(&s->jobs[p->job], p), s->suspect_pool.links, suspect);
+    else
+        s->leases[p->lease].suspect = SLOT_NONE;
+    *p = (struct suspect){.job = SLOT_NONE, .lease = SLOT_NONE};
+    chain_push(&s->suspect_pool.free, s->suspect_pool.links, suspect);
+}
+
+void suspect_dissolve(struct sched *s, uint32_t suspect)
+{
+    struct suspect *p = &s->suspects[suspect];
+    TL_ASSERT(p->lease == SLOT_NONE);
+    struct job *j = &s->jobs[p->job];
+    for (uint32_t i = 0; i < p->unit.cell_count; i++) {
+        uint32_t cell = p->unit.cell_begin + i;
+        if (job_spot_state(j, cell, p->unit.block) == SPOT_LEASED &&
+            *job_spot_owner(j, cell, p->unit.block) == (OWNER_SUSPECT | suspect))
+            job_spot_give_back(j, cell, p->unit.block);
+    }
+    suspect_free(s, suspect);
+}
+
+/* The suspect record of a unit, made if there is none; SLOT_NONE when the table is full. */
+static uint32_t suspect_of(struct sched *s, uint32_t lease)
+{
+    struct lease *l = &s->leases[lease];
+    if (l->suspect != SLOT_NONE)
+        return l->suspect;
+    uint32_t slot = s->suspect_pool.free.head;
+    if (slot == SLOT_NONE)
+        return SLOT_NONE;
+    chain_remove(&s->suspect_pool.free, s->suspect_pool.links, slot);
+    s->suspects[slot] = (struct suspect){.job = l->job, .unit = l->unit, .lease = lease};
+    l->suspect = slot;
+    return slot;
+}
+
+/* Counts a loss against the unit of `owner`; true: it is one too many for the job. */
+static bool suspect_blame(struct sched *s, uint32_t owner, const struct lease *lost)
+{
+    uint32_t slot = suspect_of(s, owner);
+    if (slot == SLOT_NONE)
+        return false;
+    struct suspect *p = &s->suspects[slot];
+    p->losses++;
+    if (lost->alone)
+        p->losses_alone++;
+    sched_news_push(s, &(struct sched_action){.type = SCHED_UNIT_LOST,
+                                              .worker = s->workers[lost->worker].handle,
+                                              .job = s->jobs[lost->job].id,
+                                              .unit = lost->unit,
+                                              .epoch = lost->epoch,
+                                              .losses = p->losses,
+                                              .alone = lost->alone});
+    return p->losses_alone >= SCHED_LOSSES_ALONE;
+}
+
+/* The last lease of a unit ends without a result: its spots wait again, or its suspect holds them
+ * together until the unit is leased again whole. */
+static void unit_return(struct sched *s, uint32_t lease)
+{
+    struct lease *l = &s->leases[lease];
+    struct job *j = &s->jobs[l->job];
+    j->retried++;
+    uint32_t suspect = l->suspect;
+    if (suspect != SLOT_NONE && l->open < l->unit.cell_count) {
+        /* Part of it was rendered after all: it is not the unit that kills. */
+        suspect_free(s, suspect);
+        suspect = SLOT_NONE;
+    }
+    if (suspect == SLOT_NONE) {
+        l->open -= spots_hand_over(s, lease, l, OWNER_NONE);
+    } else {
+        struct suspect *p = &s->suspects[suspect];
+        p->open = spots_hand_over(s, lease, l, OWNER_SUSPECT | suspect);
+        p->lease = SLOT_NONE;
+        l->open -= p->open;
+        l->suspect = SLOT_NONE;
+        chain_push(suspect_chain(j, p), s->suspect_pool.links, suspect);
+    }
+    TL_ASSERT(l->open == 0);
+}
+
+/* The unit of a lease that ends: others go on with it, or it returns. True: the job must fail. */
+static bool unit_detach(struct sched *s, uint32_t lease, bool blame)
+{
+    struct lease *l = &s->leases[lease];
+    bool fail = false;
+    uint32_t stays = lease_leave(s, lease);
+    if (stays == SLOT_NONE) {
+        if (l->owner && l->open > 0) {
+            fail = blame && suspect_blame(s, lease, l);
+            unit_return(s, lease);
+        } else if (l->suspect != SLOT_NONE) {
+            suspect_free(s, l->suspect);
+        }
+        return fail;
+    }
+    uint32_t owner = stays;
+    if (l->owner) {
+        struct lease *heir = &s->leases[stays];
+        heir->open = spots_hand_over(s, lease, l, stays);
+        heir->owner = true;
+        TL_ASSERT(heir->open == l->open);
+        heir->suspect = l->suspect;
+        if (heir->suspect != SLOT_NONE)
+            s->suspects[heir->suspect].lease = stays;
+        l->suspect = SLOT_NONE;
+        l->open = 0;
+    } else {
+        while (!s->leases[owner].owner)
+            owner = s->leases[owner].twin;
+    }
+    if (blame && s->leases[owner].open > 0)
+        fail = suspect_blame(s, owner, l);
+    if (s->leases[owner].twin == owner)
+        set_solo(s, owner, true);
+    return fail;
+}
+
+static void check_detach(struct sched *s, uint32_t lease)
+{
+    struct lease *l = &s->leases[lease];
+    if (l->check == SLOT_NONE)
+        return;
+    struct job *j = &s->jobs[l->job];
+    s->checks[l->check].lease = SLOT_NONE;
+    chain_remove(&j->checks_out, s->check_pool.links, l->check);
+    chain_push(&j->checks, s->check_pool.links, l->check);
+    l->check = SLOT_NONE;
+}
+
+void lease_end(struct sched *s, uint32_t lease, enum lease_end how, bool blame)
+{
+    struct lease *l = &s->leases[lease];
+    struct worker *w = &s->workers[l->worker];
+    struct job *j = &s->jobs[l->job];
+    struct worker_job *wj = worker_job_find(w, j->id);
+    TL_ASSERT(!l->revoked && wj && wj->leases > 0 && w->held > 0);
+
+    chain_remove(l->begun ? &w->begun : &w->queued, s->lease_worker_links, lease);
+    timers_stop(&s->timers, lease);
+    j->begun -= l->begun;
+    w->held--;
+    wj->leases--;
+    if (l->alone)
+        w->alone = false;
+
+    bool fail = unit_detach(s, lease, blame);
+    check_detach(s, lease);
+    chain_remove(lease_job_chain(j, l), s->lease_job_links, lease);
+    struct unit unit = l->unit;
+    uint32_t worker = l->worker, job = l->job;
+    if (how == END_REVOKED && w->connected) {
+        l->revoked = true;
+        chain_push(&s->revoked, s->lease_worker_links, lease);
+    } else {
+        slotmap_remove(&s->lease_map, lease);
+    }
+    worker_begin_leases(s, worker);
+    worker_place(s, worker);
+    if (fail)
+        job_fail(s, job, SCHED_WHY_UNIT_KILLS, unit);
+}
+
+/* Ends every lease of a unit that is done. */
+void lease_release_unit(struct sched *s, uint32_t lease)
+{
+    while (s->leases[lease].twin != lease)
+        lease_end(s, s->leases[lease].twin, END_REVOKED, false);
+    lease_end(s, lease, END_REVOKED, false);
+}
+
+/* One of the spots of this owner was taken from it. */
+void lease_spot_lost(struct sched *s, uint32_t owner)
+{
+    if (owner & OWNER_SUSPECT) {
+        struct suspect *p = &s->suspects[owner & ~OWNER_SUSPECT];
+        TL_ASSERT(p->open > 0 && p->lease == SLOT_NONE);
+        if (--p->open == 0)
+            suspect_free(s, owner & ~OWNER_SUSPECT);
+        return;
+    }
+    struct lease *l = &s->leases[owner];
+    TL_ASSERT(l->owner && l->open > 0);
+    if (--l->open == 0)
+        lease_release_unit(s, owner);
+}
+
+/* A worker has a free thread and the scene: from now on the lease has a deadline. */
+void lease_begin(struct sched *s, uint32_t lease)
+{
+    struct lease *l = &s->leases[lease];
+    struct worker *w = &s->workers[l->worker];
+    TL_ASSERT(!l->begun && w->begun.count < w->threads);
+    chain_remove(&w->queued, s->lease_worker_links, lease);
+    chain_push(&w->begun, s->lease_worker_links, lease);
+    l->begun = true;
+    l->begun_ms = s->now_ms;
+    s->jobs[l->job].begun++;
+
+    /* Nothing is known of its cost before the first result: then be patient. */
+    uint64_t ms = s->limits.load_ms;
+    if (l->expected_ms > 0) {
+        ms = (uint64_t)l->expected_ms * s->limits.lease_factor;
+        if (ms < s->limits.lease_ms_min)
+            ms = s->limits.lease_ms_min;
+    }
+    if (l->suspect != SLOT_NONE) {
+        uint32_t losses = s->suspects[l->suspect].losses;
+        ms <<= losses < 8 ? losses : 8;
+    }
+    timers_set(&s->timers, lease, s->now_ms + ms);
+}
+
+void lease_timer_fired(struct sched *s, uint32_t lease)
+{
+    uint32_t worker = s->leases[lease].worker;
+    struct worker *w = &s->workers[worker];
+    w->timeouts++;
+    w->lost++;
+    lease_end(s, lease, END_REVOKED, true);
+    worker_fault(s, worker);
+}
+
+void job_leases_revoke(struct sched *s, uint32_t job)
+{
+    struct job *j = &s->jobs[job];
+    while (j->solo.count > 0)
+        lease_end(s, j->solo.head, END_REVOKED, false);
+    while (j->others.count > 0)
+        lease_end(s, j->others.head, END_REVOKED, false);
+}
+
+static uint32_t worker_lease_of(const struct sched *s, const struct worker *w, uint64_t job)
+{
+    const struct chain *chains[] = {&w->begun, &w->queued};
+    for (int i = 0; i < 2; i++) {
+        uint32_t l = chains[i]->head;
+        while (l != SLOT_NONE && job != 0 && s->jobs[s->leases[l].job].id != job)
+            l = s->lease_worker_links[l].next;
+        if (l != SLOT_NONE)
+            return l;
+    }
+    return SLOT_NONE;
+}
+
+/* Ends what a worker holds (of one job, or with job 0 of all); only begun leases can be blamed.
+ * Looks anew each time, since blame may fail a job and end leases anywhere. */
+void worker_leases_end(struct sched *s, uint32_t worker, uint64_t job, enum lease_end how,
+                       bool blame)
+{
+    struct worker *w = &s->workers[worker];
+    for (;;) {
+        uint32_t l = worker_lease_of(s, w, job);
+        if (l == SLOT_NONE)
+            return;
+        w->lost++;
+        lease_end(s, l, how, blame && s->leases[l].begun);
+    }
+}
