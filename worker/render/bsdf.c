@@ -64,11 +64,21 @@ static bool delta_sample(vec3 wi, rgb weight, double probability, int flags, dou
     return true;
 }
 
+/* bsdf_fresnel for wo; equal indices are no surface at all. */
+static double fresnel_at(vec3 wo, double eta, double *cost)
+{
+    if (eta == 1) {
+        *cost = fabs(wo.z);
+        return 0;
+    }
+    return bsdf_fresnel(fabs(wo.z), wo.x * wo.x + wo.y * wo.y, eta, cost);
+}
+
 /* The course renderer's: no Fresnel term; total reflection goes to the mirror direction. */
 static bool refraction_sample(const struct bsdf *b, vec3 wo, struct bsdf_sample *s)
 {
     double eta = far_index(b, wo), cost;
-    (void)bsdf_fresnel(fabs(wo.z), wo.x * wo.x + wo.y * wo.y, eta, &cost);
+    (void)fresnel_at(wo, eta, &cost);
     if (cost > 0)
         return delta_sample(refracted(wo, eta, cost), b->color, 1, BSDF_TRANSMIT, 1, s);
     return delta_sample(bsdf_mirror(wo), b->color, 1, 0, 1, s);
@@ -78,9 +88,7 @@ static bool glass_sample(const struct bsdf *b, vec3 wo, const double u[3], struc
 {
     const struct material *m = b->material;
     double eta = far_index(b, wo), cost;
-    double f = eta == 1 ? 0 : bsdf_fresnel(fabs(wo.z), wo.x * wo.x + wo.y * wo.y, eta, &cost);
-    if (eta == 1)
-        cost = fabs(wo.z);
+    double f = fresnel_at(wo, eta, &cost);
     double reflect = f * rgb_max(m->R), transmit = (1 - f) * rgb_max(m->T);
     double sum = reflect + transmit;
     if (!(sum > 0))

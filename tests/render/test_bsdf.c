@@ -1,0 +1,274 @@
+/* Every bsdf: what is sampled has the density that is claimed (chi-square), eval, pdf and sample
+ * agree, reciprocity holds, and no more light leaves than came. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <math.h>
+#include <string.h>
+
+#include "common/dmath.h"
+#include "common/mem.h"
+#include "tests/render/stats.h"
+#include "worker/render/bsdf.h"
+#include "worker/render/sampler.h"
+#include "worker/render/warp.h"
+
+enum { ROWS = 40, COLUMNS = 80, SAMPLES = 300000, QUADRATURE = 6 };
+
+static double random_value(uint64_t *state)
+{
+    *state += UINT64_C(0x9e3779b97f4a7c15);
+    return (double)(sampler_mix(*state) >> 11) / 9007199254740992.0;
+}
+
+static struct material material_of(enum scene_material_type type)
+{
+    return (struct material){.type = type,
+                             .texture = SCENE_NONE,
+                             .color = {0.8, 0.7, 0.6},
+                             .alpha_x = 0.3,
+                             .alpha_y = 0.3,
+                             .eta = 1.5,
+                             .R = {1, 1, 1},
+                             .T = {1, 1, 1},
+                             .conductor_eta = {0.2, 0.92, 1.1},
+                             .conductor_k = {3.9, 2.45, 2.14}};
+}
+
+/* The materials with a density, in variants. */
+static size_t smooth_materials(struct material out[16])
+{
+    size_t n = 0;
+    out[n++] = material_of(SCENE_MATERIAL_DIFFUSE);
+    out[n] = material_of(SCENE_MATERIAL_DIFFUSE);
+    out[n++].twosided = true;
+    for (int k = 0; k < 4; k++) {
+        out[n] = material_of(SCENE_MATERIAL_ROUGH_CONDUCTOR);
+        out[n].distribution = k & 1 ? SCENE_GGX : SCENE_BECKMANN;
+        out[n].alpha_x = k & 2 ? 0.15 : 0.5;
+        out[n++].alpha_y = k & 2 ? 0.4 : 0.5;
+    }
+    return n;
+}
+
+static vec3 direction(double cosine, double turn)
+{
+    double s, c, sine = sqrt(1 - cosine * cosine);
+    warp_sincos_turn(turn, &s, &c);
+    return v3(sine * c, sine * s, cosine);
+}
+
+/* Integral of the pdf over one cell of the sphere's map (cos theta, phi), by the midpoint rule. */
+static double cell_integral(const struct bsdf *b, vec3 wo, int row, int column)
+{
+    double sum = 0;
+    for (int i = 0; i < QUADRATURE * QUADRATURE; i++) {
+        double z = -1 + 2 * (row + (i % QUADRATURE + 0.5) / QUADRATURE) / ROWS;
+        double pdf, turn = (column + (i / QUADRATURE + 0.5) / QUADRATURE) / COLUMNS;
+        (void)bsdf_eval(b, wo, direction(z, turn), &pdf);
+        assert_true(pdf >= 0);
+        sum += pdf;
+    }
+    return sum / (QUADRATURE * QUADRATURE) * 4 * VEC_PI / (ROWS * COLUMNS);
+}
+
+static size_t cell_of(vec3 w)
+{
+    int row = (int)((w.z + 1) / 2 * ROWS);
+    double phi = dmath_atan2(w.y, w.x) / (2 * VEC_PI);
+    int column = (int)((phi < 0 ? phi + 1 : phi) * COLUMNS);
+    row = row < ROWS ? row : ROWS - 1;
+    column = column < COLUMNS ? column : COLUMNS - 1;
+    return (size_t)(row * COLUMNS + column);
+}
+
+static void assert_samples_fit(const struct bsdf *b, vec3 wo)
+{
+    static double expected[ROWS * COLUMNS + 1], observed[ROWS * COLUMNS + 1];
+    memset(observed, 0, sizeof observed);
+    double total = 0;
+    for (int i = 0; i < ROWS * COLUMNS; i++) {
+        double p = cell_integral(b, wo, i / COLUMNS, i % COLUMNS);
+        expected[i] = p * SAMPLES;
+        total += p;
+    }
+    assert_true(total < 1.01);
+    expected[ROWS * COLUMNS] = (total < 1 ? 1 - total : 0) * SAMPLES; /* no sample */
+    uint64_t state = 7;
+    for (int i = 0; i < SAMPLES; i++) {
+        struct bsdf_sample s;
+        double u[3];
+        for (int k = 0; k < 3; k++)
+            u[k] = random_value(&state);
+        if (bsdf_sample(b, wo, u, &s))
+            observed[cell_of(s.wi)]++;
+        else
+            observed[ROWS * COLUMNS]++;
+    }
+    double z = stats_fit_z(expected, observed, ROWS * COLUMNS + (total < 0.999));
+    if (!(z < 6))
+        fail_msg("material %d: %g standard deviations off the density at wo.z %g",
+                 b->material->type, z, wo.z);
+}
+
+static void samples_have_the_density(void **state)
+{
+    (void)state;
+    static const double cosines[] = {0.95, 0.5, 0.15, -0.6};
+    struct material m[16];
+    size_t count = smooth_materials(m);
+    for (size_t i = 0; i < count; i++) {
+        struct bsdf b = {.material = &m[i], .color = m[i].color};
+        for (int k = 0; k < 4; k++)
+            assert_samples_fit(&b, direction(cosines[k], 0.1 + 0.2 * k));
+    }
+}
+
+static bool close_to(double a, double b)
+{
+    return fabs(a - b) <= 1e-9 * (fabs(a) + fabs(b));
+}
+
+/* weight pdf = f, and sample's pdf is eval's. */
+static void sample_agrees_with_eval(void **state)
+{
+    (void)state;
+    struct material m[16];
+    size_t count = smooth_materials(m);
+    uint64_t random = 3;
+    for (size_t i = 0; i < count; i++) {
+        struct bsdf b = {.material = &m[i], .color = m[i].color};
+        for (int k = 0; k < 20000; k++) {
+            vec3 wo = direction(2 * random_value(&random) - 1, random_value(&random));
+            double u[3] = {random_value(&random), random_value(&random), random_value(&random)};
+            struct bsdf_sample s;
+            if (!bsdf_sample(&b, wo, u, &s))
+                continue;
+            double pdf;
+            rgb f = bsdf_eval(&b, wo, s.wi, &pdf);
+            assert_true(fabs(v3_length(s.wi) - 1) < 1e-9);
+            assert_true(close_to(pdf, s.pdf));
+            assert_true(close_to(f.r, s.weight.r * s.pdf));
+            assert_true(close_to(f.b, s.weight.b * s.pdf));
+        }
+    }
+}
+
+/* f(a, b) = f(b, a) where nothing crosses the surface; across it, up to the square of the index
+ * ratio. */
+static void reciprocity(void **state)
+{
+    (void)state;
+    struct material m[16];
+    size_t count = smooth_materials(m);
+    uint64_t random = 5;
+    for (size_t i = 0; i < count; i++) {
+        struct bsdf b = {.material = &m[i], .color = m[i].color};
+        for (int k = 0; k < 100000; k++) {
+            vec3 wo = direction(2 * random_value(&random) - 1, random_value(&random));
+            vec3 wi = direction(2 * random_value(&random) - 1, random_value(&random));
+            double pdf;
+            rgb there = bsdf_eval(&b, wo, wi, &pdf), back = bsdf_eval(&b, wi, wo, &pdf);
+            double ratio = 1;
+            if (wo.z * wi.z < 0)
+                ratio = wo.z > 0 ? m[i].eta * m[i].eta : 1 / (m[i].eta * m[i].eta);
+            double f = there.g / fabs(wi.z) * ratio, g = back.g / fabs(wo.z);
+            assert_true(fabs(f - g) <= 1e-11 * (fabs(f) + fabs(g)) + 1e-300);
+        }
+    }
+}
+
+/* White material, mean weight of what leaves: at most 1; exactly 1 for the lossless ones. */
+static void no_energy_is_made(void **state)
+{
+    (void)state;
+    struct material m[18];
+    size_t count = smooth_materials(m);
+    m[count++] = material_of(SCENE_MATERIAL_MIRROR);
+    m[count++] = material_of(SCENE_MATERIAL_GLASS);
+    uint64_t random = 11;
+    for (size_t i = 0; i < count; i++) {
+        struct bsdf b = {.material = &m[i], .color = {1, 1, 1}};
+        for (int k = 0; k < 8; k++) {
+            vec3 wo = direction(random_value(&random), random_value(&random));
+            double sum = 0;
+            for (int j = 0; j < 20000; j++) {
+                double u[3] = {random_value(&random), random_value(&random), random_value(&random)};
+                struct bsdf_sample s;
+                if (bsdf_sample(&b, wo, u, &s))
+                    sum += s.weight.g * s.eta2;
+            }
+            assert_true(sum / 20000 <= 1 + 1e-3);
+            if (m[i].type == SCENE_MATERIAL_MIRROR || m[i].type == SCENE_MATERIAL_GLASS)
+                assert_true(sum / 20000 >= 1 - 1e-9);
+        }
+    }
+}
+
+/* Snell's law and the angle of total reflection, a few roundings either side. */
+static void glass_bends_as_snell_says(void **state)
+{
+    (void)state;
+    static const double etas[] = {1, 1 + 1e-7, 1.5, 100};
+    for (int e = 0; e < 4; e++) {
+        struct material m = material_of(SCENE_MATERIAL_REFRACTION);
+        m.eta = etas[e];
+        struct bsdf b = {.material = &m, .color = {1, 1, 1}};
+        for (int k = 0; k <= 900; k++) {
+            double s, c, u[3] = {0};
+            dmath_sincos(k * 0.1 * (VEC_PI / 180), &s, &c);
+            vec3 wo = v3(s, 0, c);
+            struct bsdf_sample in, out;
+            if (wo.z <= 0)
+                continue;
+            assert_true(bsdf_sample(&b, wo, u, &in));
+            assert_true(in.flags & BSDF_TRANSMIT);
+            assert_true(fabs(in.wi.x * m.eta + wo.x) <= 8 * 1.2e-16);
+            assert_true(fabs(v3_length(in.wi) - 1) <= 1e-15);
+            /* And back the same way. */
+            assert_true(bsdf_sample(&b, in.wi, u, &out));
+            if (c > 1e-3) {
+                assert_true(out.flags & BSDF_TRANSMIT);
+                assert_true(fabs(out.wi.x - wo.x) <= 4e-16);
+            }
+        }
+    }
+}
+
+static void total_reflection_starts_where_it_should(void **state)
+{
+    (void)state;
+    struct material m = material_of(SCENE_MATERIAL_GLASS);
+    struct bsdf b = {.material = &m, .color = {1, 1, 1}};
+    double critical = 1 / m.eta;
+    for (int k = -64; k <= 64; k++) {
+        double sine = critical + k * 1.1102230246251565e-16;
+        vec3 wo = v3(sine, 0, -sqrt(1 - sine * sine));
+        double u[3] = {0.5, 0.5, 0.999999};
+        struct bsdf_sample s;
+        bool any = bsdf_sample(&b, wo, u, &s);
+        if (k >= 2)
+            assert_true(any && !(s.flags & BSDF_TRANSMIT) && s.wi.z < 0);
+        if (any) {
+            assert_true(fabs(v3_length(s.wi) - 1) < 1e-7);
+            assert_true(rgb_is_finite(s.weight));
+        }
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(samples_have_the_density),
+        cmocka_unit_test(sample_agrees_with_eval),
+        cmocka_unit_test(reciprocity),
+        cmocka_unit_test(no_energy_is_made),
+        cmocka_unit_test(glass_bends_as_snell_says),
+        cmocka_unit_test(total_reflection_starts_where_it_should),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
