@@ -8,8 +8,11 @@ static const double Z80 = 1.2816;
 /* A cell's cost in one block against another: other samples, other neighbours in the caches. */
 static const double CV_REPEAT = 0.03;
 
+/* Standard deviation of a uniform distribution over its width. */
+static const double SD_UNIFORM = 0.289;
+
 /* Threads stop and start, units wait: what the pace itself is uncertain by. */
-static const double CV_PACE = 0.02;
+static const double CV_PACE = 0.015;
 
 void eta_spread_add(struct eta_spread *s, double x)
 {
@@ -40,9 +43,18 @@ bool eta_left(const struct eta *e, double *low_s, double *high_s)
     double sd = sqrt(sd_unknown * sd_unknown + sd_known * sd_known + sd_pace * sd_pace);
     double left_s = e->known_s + e->unknown_s;
 
-    /* At the end threads run out of units one by one: between nothing and the longest one. */
-    double low = (left_s - Z80 * sd) / e->threads;
-    double high = (left_s + Z80 * sd) / e->threads + e->longest_open_s;
+    /* Units that are out are longer than those that are done: a long one is out for longer. */
+    double out = e->threads < units ? e->threads : units;
+    left_s += out * e->unknown_s / units * cv * cv;
+
+    /* Threads run out of units one by one, within about the length of a unit that is longer than
+     * most; and nothing ends before the longest unit that is out. */
+    double sd_tail_s = SD_UNIFORM * e->longest_open_s * (1.0 + 4.0 * cv * cv);
+    double sd_s = sqrt(sd * sd / (e->threads * e->threads) + sd_tail_s * sd_tail_s);
+    double middle_s = left_s / e->threads;
+    if (middle_s < e->longest_open_s)
+        middle_s = e->longest_open_s;
+    double low = middle_s - Z80 * sd_s, high = middle_s + Z80 * sd_s;
     *low_s = low > 0.0 ? low : 0.0;
     *high_s = high > *low_s ? high : *low_s;
     return true;

@@ -3,8 +3,8 @@
  * What is left of a job has two parts. *Known*: cells that were measured in an
  * earlier block; their cost repeats almost exactly. *Unknown*: cells that were
  * never rendered; they cost the mean of those that were, give or take the spread
- * between units. Both are divided by the threads at work, and the longest open unit
- * bounds what the last thread makes the others wait.
+ * between units. Both are divided by the threads at work; the longest open unit says how far apart
+ * the threads may end.
  *
  * Pure arithmetic. tests/unit/test_sched_eta.c holds it to its word: on renders with
  * drawn costs the truth lies inside in 80 % of checks at 25, 50 and 75 %.

@@ -4,6 +4,7 @@
 enum {
     GOOD_RESULTS_FORGIVE = 64, /* so many good results shorten the next pause by half */
     PAUSES_MAX = 16,
+    SPARE_MAX = 32, /* leases beyond its threads; a worker refuses more than threads + 66 */
 };
 
 bool worker_usable(const struct worker *w)
@@ -49,8 +50,7 @@ uint32_t worker_allowance(const struct sched *s, const struct worker *w)
         if (needed > spare)
             spare = needed;
     }
-    uint64_t spare_max = (uint64_t)w->threads * 3 + 2;
-    uint64_t allowance = w->threads + (spare < spare_max ? spare : spare_max);
+    uint64_t allowance = w->threads + (spare < SPARE_MAX ? spare : SPARE_MAX);
     uint32_t cap = s->limits.leases_per_worker_max;
     return allowance < cap ? (uint32_t)allowance : cap;
 }
