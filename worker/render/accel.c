@@ -221,6 +221,19 @@ static enum err build(struct accel *a, const struct accel_input *input,
     return ERR_OK;
 }
 
+/* The widest kernel that this CPU has and the options allow. */
+static const struct trace_kernel *kernel_choose(const struct accel_options *o)
+{
+    if (o->builder == JOB_BUILDER_NONE || o->intersector == JOB_INTERSECTOR_MOLLER_TRUMBORE)
+        return &trace_plain;
+    enum accel_isa isa = o->isa == ACCEL_ISA_AUTO ? ACCEL_ISA_AVX512 : o->isa;
+    bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    if (isa >= ACCEL_ISA_AVX512 && avx2 && __builtin_cpu_supports("avx512f") &&
+        __builtin_cpu_supports("avx512vl"))
+        return &trace_avx512;
+    return isa >= ACCEL_ISA_AVX2 && avx2 ? &trace_avx2 : &trace_sse2;
+}
+
 enum err accel_new(const struct accel_input *input, const struct accel_options *options,
                    const struct accel_runner *runner, struct accel **out)
 {
@@ -228,7 +241,7 @@ enum err accel_new(const struct accel_input *input, const struct accel_options *
     if (!a)
         return ERR_NOMEM;
     a->options = *options;
-    a->kernel = &trace_plain;
+    a->kernel = kernel_choose(options);
     enum err err = build(a, input, runner);
     if (err)
         accel_free(a);

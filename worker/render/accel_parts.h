@@ -22,7 +22,7 @@ struct trace_kernel {
                            uint8_t *occluded);
 };
 
-extern const struct trace_kernel trace_plain;
+extern const struct trace_kernel trace_plain, trace_sse2, trace_avx2, trace_avx512;
 
 struct accel {
     const struct trace_kernel *kernel;

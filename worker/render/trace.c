@@ -61,6 +61,13 @@ void trace_ray_init(const double org[3], const double dir[3], double scale, doub
     out->scale = scale;
     double size = far + reach;
     out->slack = 0x1p-30 * size;
+    for (int k = 0; k < 3; k++)
+        out->filter_org[k] = (float)org[out->axis[k]];
+    out->filter_shear[0] = (float)out->shear[0];
+    out->filter_shear[1] = (float)out->shear[1];
+    /* The last term covers products that underflow. */
+    out->filter_slope = (float)(100.0 * 0x1p-24 * size);
+    out->filter_floor = (float)(256.0 * 0x1p-48 * size * size + 0x1p-140);
     /* The pad is rounded twice: a ninth unit covers that. */
     float pad = 9.0f * unit * (float)size;
     for (uint32_t k = 0; k < 3; k++) {

@@ -23,6 +23,9 @@ struct trace_ray {
     uint32_t axis[3]; /* permuted: the largest component last */
     uint32_t row[3];  /* row of bvh_node.bounds with the near planes; row ^ 1 has the far ones */
     float near_offset[3], far_offset[3], inverse[3]; /* t = plane * inverse - offset */
+    float filter_org[3], filter_shear[2];            /* permuted like `axis` */
+    float filter_slope, filter_floor; /* of a block with edges <= e: an edge function's float error
+                                         is below slope * e + floor */
 };
 
 /* The best hit so far. `object` is SCENE_NONE for a triangle of the scene's own tree,

@@ -1,8 +1,18 @@
 # Sources of the tracing core, and the instruction sets of its kernels. Included by
-# ../CMakeLists.txt into the target tl_render.
+# ../CMakeLists.txt into the target tl_render. Nothing but the kernels' intrinsics is
+# compiled for more than the baseline.
+set(trace_dir ${PROJECT_SOURCE_DIR}/worker/render)
 set(trace_sources
-  ${PROJECT_SOURCE_DIR}/worker/render/accel.c
-  ${PROJECT_SOURCE_DIR}/worker/render/bvh_build.c
-  ${PROJECT_SOURCE_DIR}/worker/render/bvh_wide.c
-  ${PROJECT_SOURCE_DIR}/worker/render/trace.c
-  ${PROJECT_SOURCE_DIR}/worker/render/trace_plain.c)
+  ${trace_dir}/accel.c
+  ${trace_dir}/bvh_build.c
+  ${trace_dir}/bvh_wide.c
+  ${trace_dir}/trace.c
+  ${trace_dir}/trace_avx2.c
+  ${trace_dir}/trace_avx512.c
+  ${trace_dir}/trace_compress.c
+  ${trace_dir}/trace_plain.c
+  ${trace_dir}/trace_sse2.c)
+set_source_files_properties(${trace_dir}/trace_avx2.c PROPERTIES
+  COMPILE_OPTIONS "-mavx2;-mfma;-mbmi;-mbmi2;-mlzcnt;-mpopcnt")
+set_source_files_properties(${trace_dir}/trace_avx512.c PROPERTIES
+  COMPILE_OPTIONS "-mavx2;-mfma;-mbmi;-mbmi2;-mlzcnt;-mpopcnt;-mavx512f;-mavx512vl")

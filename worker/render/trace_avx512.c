@@ -1,0 +1,6 @@
+/* The kernel for AVX512: see trace_kernel.h. */
+#ifndef TRACE_KERNEL
+#define TRACE_KERNEL trace_avx512
+#endif
+#define TRACE_NAME "avx512"
+#include "worker/render/trace_kernel.h"
