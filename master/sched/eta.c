@@ -36,8 +36,10 @@ bool eta_left(const struct eta *e, double *low_s, double *high_s)
     double cv = eta_spread_cv(&e->spread);
     double units = e->unknown_units > 0 ? (double)e->unknown_units : 1.0;
 
-    /* The mean of what was measured is itself a guess of the mean of what was not. */
-    double sd_unknown = e->unknown_s * cv * sqrt(1.0 / (double)e->spread.count + 1.0 / units);
+    /* The mean of what was measured is itself a guess of the mean of what was not; a spread that
+     * is large is skewed too, and its measure falls short of it. */
+    double sd_unknown =
+        e->unknown_s * cv * (1.0 + 0.25 * cv) * sqrt(1.0 / (double)e->spread.count + 1.0 / units);
     double sd_known = e->known_s * CV_REPEAT;
     double sd_pace = (e->known_s + e->unknown_s) * CV_PACE;
     double sd = sqrt(sd_unknown * sd_unknown + sd_known * sd_known + sd_pace * sd_pace);

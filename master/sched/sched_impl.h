@@ -264,9 +264,10 @@ enum sched_worker_state worker_state(const struct worker *w);
 
 /* --- sched_leases.c --- */
 enum lease_end {
-    END_ANSWERED, /* its result or failure arrived */
-    END_REVOKED,  /* worker must be told */
-    END_DROPPED,  /* worker is gone */
+    END_RESULT,  /* its result arrived and is about to be answered */
+    END_FAILED,  /* the worker gave it back */
+    END_REVOKED, /* worker must be told */
+    END_DROPPED, /* worker is gone */
 };
 /* SLOT_NONE when the table is full. Takes no spots. */
 uint32_t lease_new(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,

@@ -179,7 +179,6 @@ static void unit_return(struct sched *s, uint32_t lease)
 {
     struct lease *l = &s->leases[lease];
     struct job *j = &s->jobs[l->job];
-    j->retried++;
     uint32_t suspect = l->suspect;
     if (suspect != SLOT_NONE && l->open < l->unit.cell_count) {
         /* Part of it was rendered after all: it is not the unit that kills. */
@@ -264,6 +263,8 @@ void lease_end(struct sched *s, uint32_t lease, enum lease_end how, bool blame)
     if (l->alone)
         w->alone = false;
 
+    if (how != END_RESULT && l->owner && l->open > 0 && l->twin == lease)
+        j->retried++;
     bool fail = unit_detach(s, lease, blame);
     check_detach(s, lease);
     chain_remove(lease_job_chain(j, l), s->lease_job_links, lease);

@@ -178,7 +178,7 @@ static void lease_answered(struct sched *s, uint32_t worker, uint32_t lease,
     uint32_t check = s->leases[lease].check;
     worker_good(s, worker);
     learn_speed(s, worker, e->job, r);
-    lease_end(s, lease, END_ANSWERED, false);
+    lease_end(s, lease, END_RESULT, false);
     if (check != SLOT_NONE) {
         s->scan.vote = true;
         check_vote(s, check, (struct vote){.worker = e->worker, .digest = r->digest});

@@ -225,7 +225,7 @@ void worker_job_unfit(struct sched *s, uint32_t worker, struct worker_job *wj, u
     uint64_t id = wj->job;
     wj->open = wj->ready = false;
     wj->barred_until_ms = s->now_ms + pause_ms(s, wj->unfit++);
-    worker_leases_end(s, worker, id, END_ANSWERED, false);
+    worker_leases_end(s, worker, id, END_FAILED, false);
     worker_timer_set(s, worker);
     worker_place(s, worker);
     uint32_t job = slotmap_find(&s->job_map, id);
@@ -423,7 +423,7 @@ static bool worker_unit_failed(struct sched *s, uint32_t worker, uint64_t epoch)
     struct worker *w = &s->workers[worker];
     w->failed++;
     w->lost++;
-    lease_end(s, lease, END_ANSWERED, true);
+    lease_end(s, lease, END_FAILED, true);
     worker_fault(s, worker);
     return true;
 }

@@ -1,7 +1,5 @@
-foreach(name test_sched_parts test_sched_eta)
-  tilery_test(${name} LABEL unit LINKS tl_sched
-    SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/${name}.c)
-endforeach()
-if(TARGET test_sched_eta)
-  target_link_libraries(test_sched_eta PRIVATE m)
-endif()
+set(unit ${PROJECT_SOURCE_DIR}/tests/unit)
+tilery_test(test_sched_parts LABEL unit LINKS tl_sched SOURCES ${unit}/test_sched_parts.c)
+tilery_test(test_sched_eta LABEL unit LINKS tl_sched m SOURCES ${unit}/test_sched_eta.c)
+tilery_test(test_sched LABEL unit LINKS tl_sched
+  SOURCES ${unit}/test_sched.c ${unit}/sched_rig.c)
