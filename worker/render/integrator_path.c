@@ -58,10 +58,11 @@ static void add_emission(const struct render_scene *scene, struct path *path,
 
 /* Next-event estimation: a shadow ray to a point drawn on a light. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
-                           uint32_t index, const struct shade *at, double choose, const double u[2])
+                           uint32_t index, const struct shade *at, double choose)
 {
     struct light_sample light;
     const struct surface *s = &at->surface;
+    const double *u = w->paths[index].light_u;
     if (!light_sample(&scene->lights, s->p, choose, u[0], u[1], &light))
         return;
     vec3 wi = frame_to_local(&at->frame, light.wi);
@@ -149,11 +150,13 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     sampler_set(&path->sampler, WAVE_SET_VERTEX + set, u);
     sampler_set(&path->sampler, WAVE_SET_CHOICE + set, choice);
     if (!m->is_delta && scene->spec.profile != JOB_PROFILE_RW)
-        connect_lights(scene, w, index, &at, choice[2], u);
+        connect_lights(scene, w, index, &at, choice[2]);
     if (depth + 1 == depth_max && !last_edge_counts(scene, m->is_delta))
         return false;
+    path->light_u[0] = u[2];
+    path->light_u[1] = u[3];
     vec3 wi;
-    if (!scatter(scene, path, &at, u + 2, choice, &wi))
+    if (!scatter(scene, path, &at, u, choice, &wi))
         return false;
     const struct surface *s = &at.surface;
     wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);
@@ -187,7 +190,7 @@ void integrate_ao(const struct render_scene *scene, struct render_scratch *w)
         double u[SAMPLER_SET_VALUES];
         uint32_t index = w->active[i];
         sampler_set(&w->paths[index].sampler, WAVE_SET_VERTEX, u);
-        vec3 local = warp_cosine_hemisphere(u[2], u[3]);
+        vec3 local = warp_cosine_hemisphere(u[0], u[1]);
         local.z = at.wo.z < 0 ? -local.z : local.z;
         vec3 wi = frame_to_world(&at.frame, local);
         vec3 org = surface_offset(at.surface.p, at.surface.ng, at.surface.error, wi);

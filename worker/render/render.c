@@ -107,8 +107,12 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     double film_x = x + 0.5 + film_filter_sample(&scene->filter, u[0], &weight_x);
     double film_y = y + 0.5 + film_filter_sample(&scene->filter, u[1], &weight_y);
     path->filter_weight = weight_x * weight_y;
+    path->light_u[0] = u[2];
+    path->light_u[1] = u[3];
+    if (scene->camera.type == SCENE_CAMERA_THIN_LENS)
+        sampler_set(&path->sampler, WAVE_SET_LENS, u);
     vec3 dir;
-    camera_ray(&scene->camera, film_x, film_y, u + 2, &path->org, &dir);
+    camera_ray(&scene->camera, film_x, film_y, u, &path->org, &dir);
     wave_continue(w, index, index, path->org, dir);
 }
 

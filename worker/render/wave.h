@@ -19,10 +19,11 @@ struct path {
     rgb radiance;
     rgb beta; /* throughput */
     double filter_weight;
-    double eta2;   /* product of the index ratios that beta was scaled by, undone in roulette */
-    double pdf;    /* with which the last direction was drawn; 0: by a delta lobe, or camera */
-    vec3 org;      /* where the last direction left from, for the pdf of lights */
-    uint32_t x, y; /* pixel of the full picture */
+    double eta2;       /* product of the index ratios that beta was scaled by, undone in roulette */
+    double pdf;        /* with which the last direction was drawn; 0: by a delta lobe, or camera */
+    vec3 org;          /* where the last direction left from, for the pdf of lights */
+    double light_u[2]; /* where on a light the next vertex looks */
+    uint32_t x, y;     /* pixel of the full picture */
 };
 
 struct render_scratch {
@@ -46,11 +47,14 @@ struct render_scratch {
     uint64_t ray_count; /* cast so far in this unit */
 };
 
-/* The sets of the sampler that belong to the camera and to the vertices of a path. */
+/* The sets of the sampler. A direction and the light point at the vertex that it leads to are drawn
+ * from one set, since together they make one integrand; so are the film point and the light point
+ * at the first vertex. */
 enum {
-    WAVE_SET_CAMERA = 0, /* film x, y; lens u, v */
-    WAVE_SET_VERTEX = 1, /* of vertex 0: light u, v; bsdf u, v */
-    WAVE_SET_CHOICE = 2, /* of vertex 0: bsdf lobe, roulette, which light, opacity */
+    WAVE_SET_CAMERA = 0, /* film x, y; light u, v at vertex 0 */
+    WAVE_SET_LENS = 1,   /* lens u, v */
+    WAVE_SET_VERTEX = 2, /* of vertex 0: bsdf u, v; light u, v at vertex 1 */
+    WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light, opacity */
     WAVE_SETS_PER_VERTEX = 2,
 };
 
