@@ -9,7 +9,7 @@
 #include "common/mem.h"
 #include "common/number.h"
 
-enum { TEXT_BYTES = 600, HINT_BYTES = 600, KNOWN_SHOWN_MAX = 24 };
+enum { TEXT_BYTES = 600, KNOWN_SHOWN_MAX = 24 };
 
 #define WHOLE_MAX (UINT64_C(1) << 53) /* doubles count exactly up to here */
 
@@ -121,22 +121,21 @@ const struct json *json_get_required(struct json_get *g, const struct json *obje
     return m;
 }
 
-/* "did you mean "a"? known: a, b, c" into `out`. */
-static void hint_known(const char *word, const char *const *known, size_t known_count,
-                       char out[HINT_BYTES])
+void json_hint_known(const char *word, const char *const *known, size_t known_count,
+                     char out[JSON_HINT_BYTES])
 {
     const char *near = diag_nearest(word, known, known_count);
     size_t used = 0;
     out[0] = '\0';
     if (near)
-        used = (size_t)snprintf(out, HINT_BYTES, "did you mean \"%.100s\"? ", near);
+        used = (size_t)snprintf(out, JSON_HINT_BYTES, "did you mean \"%.100s\"? ", near);
     const char *lead = "known: ";
-    for (size_t i = 0; i < known_count && used < HINT_BYTES; i++, lead = ", ") {
-        if (i == KNOWN_SHOWN_MAX || used + strlen(known[i]) > HINT_BYTES - 40) {
-            (void)snprintf(out + used, HINT_BYTES - used, " and %zu more", known_count - i);
+    for (size_t i = 0; i < known_count && used < JSON_HINT_BYTES; i++, lead = ", ") {
+        if (i == KNOWN_SHOWN_MAX || used + strlen(known[i]) > JSON_HINT_BYTES - 40) {
+            (void)snprintf(out + used, JSON_HINT_BYTES - used, " and %zu more", known_count - i);
             return;
         }
-        used += (size_t)snprintf(out + used, HINT_BYTES - used, "%s%s", lead, known[i]);
+        used += (size_t)snprintf(out + used, JSON_HINT_BYTES - used, "%s%s", lead, known[i]);
     }
 }
 
@@ -149,8 +148,8 @@ void json_get_keys(struct json_get *g, const struct json *object, const char *co
             found = strcmp(m->key, known[i]) == 0;
         if (found)
             continue;
-        char hint[HINT_BYTES];
-        hint_known(m->key, known, known_count, hint);
+        char hint[JSON_HINT_BYTES];
+        json_hint_known(m->key, known, known_count, hint);
         json_get_problem(g, DIAG_ERROR, m, "unknown-key", hint, "unknown key \"%.100s\"", m->key);
     }
 }
@@ -270,8 +269,8 @@ bool json_value_choice(struct json_get *g, const struct json *v, const char *con
             return true;
         }
     }
-    char hint[HINT_BYTES];
-    hint_known(text, names, (size_t)name_count, hint);
+    char hint[JSON_HINT_BYTES];
+    json_hint_known(text, names, (size_t)name_count, hint);
     json_get_problem(g, DIAG_ERROR, v, "unknown-name", hint, "unknown name \"%.100s\"", text);
     return false;
 }

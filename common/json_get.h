@@ -45,6 +45,11 @@ const struct json *json_get_required(struct json_get *g, const struct json *obje
 void json_get_keys(struct json_get *g, const struct json *object, const char *const *known,
                    size_t known_count);
 
+/* "did you mean "a"? known: a, b, c" for a hint. */
+enum { JSON_HINT_BYTES = 600 };
+void json_hint_known(const char *word, const char *const *known, size_t known_count,
+                     char out[JSON_HINT_BYTES]);
+
 /* True if `v` is of that type; else a problem saying what was found. `v` may be NULL (false, no
  * problem). */
 bool json_get_is(struct json_get *g, const struct json *v, enum json_type type);

@@ -221,7 +221,8 @@ static void read_opacity(struct parser *p)
     size_t bytes = take_word(p, &word);
     if (!word_is(word, bytes, "-halo"))
         p->at = start;
-    (void)read_scalar(p, "d", 0, 1, &p->material->opacity);
+    if (read_scalar(p, "d", 0, 1, &p->material->opacity))
+        p->material->has_d = true;
 }
 
 static void read_scalar_word(struct parser *p, const char *word, size_t bytes)
@@ -235,7 +236,7 @@ static void read_scalar_word(struct parser *p, const char *word, size_t bytes)
     else if (word_is(word, bytes, "d"))
         read_opacity(p);
     else if (word_is(word, bytes, "Tr") && read_scalar(p, "Tr", 0, 1, &v))
-        m->opacity = 1 - v;
+        m->opacity = m->has_d ? m->opacity : 1 - v;
     else if (word_is(word, bytes, "illum") && read_scalar(p, "illum", 0, 10, &v))
         m->illum = (int)v;
     else if (word_is(word, bytes, "Pr"))

@@ -35,7 +35,8 @@ struct mtl_material {
     char *name; /* "" when newmtl names none */
     uint64_t line;
     double kd[3], ks[3], ke[3], ka[3], tf[3];
-    bool has_kd, has_ke;
+    bool has_kd, has_ke,
+        has_d;      /* has_d: by d; Tr is then not read, since exporters disagree on it */
     double ns;      /* 0 .. 1e6 */
     double ni;      /* 0: not given */
     double opacity; /* d, or 1 - Tr; 0..1 */
