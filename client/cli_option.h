@@ -63,7 +63,6 @@ enum cli_kind {
 };
 
 enum cli_option_id {
-    CLI_OUTPUT,
     CLI_PNG,
     CLI_SPP,
     CLI_TARGET_ERROR,
@@ -91,6 +90,7 @@ enum cli_option_id {
     CLI_HEATMAP,
     CLI_IDENTICAL,
     CLI_MAX_RELMSE,
+    CLI_OUTPUT,
     CLI_REPORT,
     CLI_JSON,
     CLI_MASTER,

@@ -23,8 +23,8 @@ static const char *const submit_examples =
     "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n";
 static const char *const compare_examples =
     "  tilery compare out.exr reference.exr\n"
-    "  tilery compare a.exr b.exr --identical          exit 1 unless every bit is the same\n"
-    "  tilery compare a.exr b.exr --max-relmse 0.001   exit 1 if it is more\n";
+    "  tilery compare a.exr b.exr --identical          exit 1 unless all bits are\n"
+    "  tilery compare a.exr b.exr --max-relmse 0.001   exit 1 if it is over\n";
 static const char *const get_examples = "  tilery get j42 -o out.exr\n"
                                         "  tilery get j42 -o out.png\n";
 

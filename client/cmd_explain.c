@@ -209,7 +209,7 @@ int command_explain(struct cli *cli)
     struct facts facts = {0};
     struct buf out;
     load_scene(&load, &cli->line, false);
-    int status = load_explain(&load);
+    int status = load_explain(&load, NULL);
     if (status == EXIT_DONE) {
         buf_init(&out);
         take_scene(&facts, &load.scene);

@@ -153,7 +153,7 @@ static int wait_ready(struct render *r)
         if (r->loading && fds[1].revents) {
             (void)pthread_join(r->loader, NULL);
             r->loading = false;
-            int status = load_explain(&r->load);
+            int status = load_explain(&r->load, "no job made");
             if (status != EXIT_DONE)
                 return status;
         }

@@ -76,7 +76,7 @@ int command_submit(struct cli *cli)
     if (status != EXIT_DONE)
         return status;
     load_scene(&load, &cli->line, false);
-    status = load_explain(&load);
+    status = load_explain(&load, "no job made");
     if (status == EXIT_DONE)
         status = farm_open(&farm, cli);
     if (status == EXIT_DONE) {

@@ -136,9 +136,9 @@ void load_release(struct load *load)
     *load = (struct load){0};
 }
 
-int load_explain(const struct load *load)
+int load_explain(const struct load *load, const char *tail)
 {
-    (void)cli_problems(&load->problems, load->status ? "no job made" : NULL);
+    (void)cli_problems(&load->problems, load->status ? tail : NULL);
     if (load->status == EXIT_MACHINE)
         cli_error("no-memory", NULL, "out of memory while reading the scene");
     return load->status;

@@ -24,7 +24,7 @@ struct load {
 void load_scene(struct load *load, const struct cli_line *line, bool scene_only);
 void load_release(struct load *load);
 
-/* Prints what load found; its exit status. */
-int load_explain(const struct load *load);
+/* Prints what load found, with `tail` (may be NULL) after the count; its exit status. */
+int load_explain(const struct load *load, const char *tail);
 
 #endif

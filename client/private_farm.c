@@ -23,7 +23,7 @@
 
 #define FOLDER_PREFIX "tilery-render-"
 
-enum { LINE_BYTES = 512, PATH_BYTES = PATH_MAX, WORKER_ARGUMENTS = 12, MASTER_ARGUMENTS = 12 };
+enum { LINE_BYTES = 512, PATH_BYTES = PATH_MAX, WORKER_ARGUMENTS = 8, MASTER_ARGUMENTS = 12 };
 
 /* A text cut to its buffer: what is too long for a path is refused by the system later. */
 TL_PRINTF(3, 4) static void format(char *out, size_t bytes, const char *pattern, ...)
@@ -207,14 +207,13 @@ static enum err master_start(struct private_farm *f)
     return child_start(f, &f->master, (char *const *)arguments);
 }
 
+/* Chunks stay in memory: what ends with us needs no disk. */
 static enum err worker_start(struct private_farm *f, struct private_child *child)
 {
-    char cache[PATH_BYTES], threads[16];
-    format(cache, sizeof cache, "%s/cache", f->folder);
+    char threads[16];
     format(threads, sizeof threads, "%u", f->threads);
     const char *arguments[WORKER_ARGUMENTS] = {
-        "tilery-worker", "--master",  f->listen, "--threads", threads,
-        "--name",        child->name, "--cache", cache,       NULL};
+        "tilery-worker", "--master", f->listen, "--threads", threads, "--name", child->name, NULL};
     return child_start(f, child, (char *const *)arguments);
 }
 

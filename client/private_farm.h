@@ -1,8 +1,8 @@
 /* client/private_farm.h: the master and workers that `tilery render` runs for itself.
  *
- * A folder under $TMPDIR (or /tmp), mode 0700, holds the token, the master's data, the
- * workers' caches and everyone's log; it goes when the farm ends, and what a killed
- * `tilery` left is swept by the next. Children run on loopback ports chosen by the
+ * A folder under $TMPDIR (or /tmp), mode 0700, holds the token, the master's data and
+ * everyone's log; it goes when the farm ends, and what a killed `tilery` left is swept by
+ * the next. Children run on loopback ports chosen by the
  * system, die with this process even if it is killed (PR_SET_PDEATHSIG), and are started
  * again a bounded number of times when they crash: the master on the same ports and data,
  * so that nothing acknowledged is rendered again.

@@ -1,0 +1,106 @@
+#include <string.h>
+
+#include "client/import_model.h"
+#include "common/file_io.h"
+#include "common/mem.h"
+
+#define IMAGE_BYTES_MAX (UINT64_C(1) << 30)
+
+static const struct import_source *find(const struct import *im, const char *key,
+                                        enum image_use use)
+{
+    for (size_t i = 0; i < im->source_count; i++) {
+        const struct import_source *s = &im->sources[i];
+        if (s->use == use && strcmp(s->key, key) == 0)
+            return s;
+    }
+    return NULL;
+}
+
+static enum err remember(struct import *im, const char *key, const char *path, enum image_use use,
+                         uint32_t image)
+{
+    if (!mem_grow((void **)&im->sources, im->source_count, &im->source_capacity,
+                  sizeof *im->sources))
+        return ERR_NOMEM;
+    struct import_source s = {
+        .key = mem_strdup(key), .path = path ? mem_strdup(path) : NULL, .use = use, .image = image};
+    if (!s.key || (path && !s.path)) {
+        mem_free(s.key);
+        mem_free(s.path);
+        return ERR_NOMEM;
+    }
+    im->sources[im->source_count++] = s;
+    return ERR_OK;
+}
+
+/* An image that cannot be read is no reason to refuse the model: its errors become warnings. */
+static void soften(struct import *im, const struct diag_list *found)
+{
+    for (size_t i = 0; i < found->count; i++) {
+        const struct diag *d = &found->items[i];
+        diag_add(im->problems, DIAG_WARNING,
+                 (struct diag_place){.file = d->file, .line = d->line, .path = d->path}, d->id,
+                 "the model is shown without this picture", "%s", d->text);
+    }
+}
+
+static enum err decode(struct import *im, const void *data, size_t bytes, const char *shown,
+                       enum image_use use, uint32_t *out)
+{
+    struct diag_list found;
+    struct scene_image image;
+    diag_init(&found);
+    enum err e = image_read(data, bytes, shown, use, &image, &found);
+    soften(im, &found);
+    diag_release(&found);
+    *out = SCENE_NONE;
+    if (e == ERR_NOMEM)
+        return e;
+    return e == ERR_OK ? import_add_image(im, &image, out) : ERR_OK;
+}
+
+enum err import_image_file(struct import *im, const char *path, enum image_use use, uint32_t *out)
+{
+    const struct import_source *known = find(im, path, use);
+    if (known) {
+        *out = known->image;
+        return ERR_OK;
+    }
+    char *joined = file_join(im->folder, path);
+    char *data = NULL;
+    size_t bytes;
+    uint32_t image = SCENE_NONE;
+    enum err e = joined ? file_read(joined, IMAGE_BYTES_MAX, &data, &bytes) : ERR_NOMEM;
+    if (e == ERR_OK) {
+        e = decode(im, data, bytes, joined, use, &image);
+    } else if (e != ERR_NOMEM) {
+        import_warn(im, "missing-image", "the model is shown without this picture",
+                    "picture \"%s\": %s", path, e == ERR_NOT_FOUND ? "no such file" : err_text(e));
+        e = ERR_OK;
+    }
+    if (e == ERR_OK)
+        e = remember(im, path, image == SCENE_NONE ? NULL : joined, use, image);
+    mem_free(data);
+    mem_free(joined);
+    if (e == ERR_OK)
+        *out = image;
+    return e;
+}
+
+enum err import_image_bytes(struct import *im, const char *key, const void *data, size_t bytes,
+                            enum image_use use, uint32_t *out)
+{
+    const struct import_source *known = find(im, key, use);
+    uint32_t image = SCENE_NONE;
+    if (!known) {
+        char *shown = mem_sprintf("%s%s", im->path, key);
+        enum err e = shown ? decode(im, data, bytes, shown, use, &image) : ERR_NOMEM;
+        mem_free(shown);
+        if (e != ERR_OK)
+            return e;
+        TL_TRY(remember(im, key, NULL, use, image));
+    }
+    *out = known ? known->image : image;
+    return ERR_OK;
+}

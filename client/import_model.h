@@ -1,0 +1,112 @@
+/* client/import_model.h: a scene under construction, shared by the importers.
+ *
+ * Each importer fills one `struct import` through the functions below, which keep the
+ * scene's limits and make names distinct. import_finish then lights and frames what has
+ * no light or camera. The struct owns all it holds. One thread.
+ */
+#ifndef CLIENT_IMPORT_MODEL_H
+#define CLIENT_IMPORT_MODEL_H
+
+#include "common/diag.h"
+#include "common/image_file.h"
+#include "common/job_spec.h"
+#include "common/scene.h"
+
+/* Where an image came from, so that the same file is read once and `tilery import` can refer to
+ * it instead of writing it again. */
+struct import_source {
+    char *key;  /* what was asked for: path, or "#n" inside the model; NULL: made here */
+    char *path; /* a file beside the model; NULL: inside the model */
+    enum image_use use;
+    uint32_t image;
+};
+
+struct import {
+    const char *path; /* of the model, as the user named it; borrowed */
+    char *folder;     /* where its relative paths start */
+    struct diag_list *problems;
+    struct scene scene;
+    size_t image_capacity, texture_capacity, material_capacity, mesh_capacity, object_capacity,
+        light_capacity;
+    struct import_source *sources;
+    size_t source_count, source_capacity;
+    bool has_camera;
+    double aspect; /* width over height that the camera asks for; 0: any */
+    bool has_lamp; /* a light without a surface, or an emitter brighter than white paper */
+    uint64_t point_count, line_count; /* elements left out */
+    uint64_t told;                    /* bit per IMPORT_ONCE: what has been said */
+};
+
+TL_NODISCARD enum err import_init(struct import *im, const char *path, struct diag_list *problems);
+void import_release(struct import *im);
+
+/* Each takes what it is given, also on failure. The index goes to *out, which may be NULL.
+ * ERR_LIMIT with a problem, ERR_NOMEM. */
+TL_NODISCARD enum err import_add_mesh(struct import *im, struct scene_mesh *mesh, uint32_t *out);
+TL_NODISCARD enum err import_add_object(struct import *im, const struct scene_object *object);
+TL_NODISCARD enum err import_add_light(struct import *im, const struct scene_light *light);
+/* A material or texture with a copy of `name`; "" or NULL is named by `stem`. */
+TL_NODISCARD enum err import_add_material(struct import *im, struct scene_material *material,
+                                          const char *name, uint32_t *out);
+TL_NODISCARD enum err import_add_texture(struct import *im, struct scene_texture *texture,
+                                         const char *name, uint32_t *out);
+/* Takes the pixels. */
+TL_NODISCARD enum err import_add_image(struct import *im, struct scene_image *image, uint32_t *out);
+
+/* The image of a file, relative to the model's folder; read once for each use. SCENE_NONE and a
+ * warning, once, when it cannot be had: the model is then shown without. ERR_NOMEM. */
+TL_NODISCARD enum err import_image_file(struct import *im, const char *path, enum image_use use,
+                                        uint32_t *out);
+/* The same of bytes inside the model; `key` tells them apart. */
+TL_NODISCARD enum err import_image_bytes(struct import *im, const char *key, const void *data,
+                                         size_t bytes, enum image_use use, uint32_t *out);
+
+/* Warnings about the model: `id` as in docs/ERRORS.md. */
+void import_warn(struct import *im, const char *id, const char *hint, const char *format, ...)
+    TL_PRINTF(4, 5);
+enum err import_fail(struct import *im, const char *id, const char *hint, const char *format, ...)
+    TL_PRINTF(4, 5);
+
+/* Says each only once per model. */
+enum import_once {
+    IMPORT_ONCE_UV_SET,
+    IMPORT_ONCE_VERTEX_COLOR,
+    IMPORT_ONCE_OCCLUSION,
+    IMPORT_ONCE_VOLUME,
+    IMPORT_ONCE_DETAIL_MAP,
+    IMPORT_ONCE_BUMP,
+    IMPORT_ONCE_SHEAR,
+    IMPORT_ONCE_SKIN,
+    IMPORT_ONCE_ALPHA_MAP,
+    IMPORT_ONCE_BAD_NUMBER,
+    IMPORT_ONCE_LIGHT_TYPE,
+    IMPORT_ONCE_SPECULAR_GLOSSINESS,
+    IMPORT_ONCE_CAMERA,
+};
+bool import_once(struct import *im, enum import_once what);
+
+/* The readers. ERR_INPUT with problems, ERR_NOMEM, ERR_IO. */
+TL_NODISCARD enum err import_obj(struct import *im, const char *text, size_t bytes);
+TL_NODISCARD enum err import_ply(struct import *im, const char *data, size_t bytes);
+TL_NODISCARD enum err import_gltf(struct import *im, const char *data, size_t bytes);
+TL_NODISCARD enum err import_other(struct import *im);
+
+/* Checks that there is a face, adds a sky and a camera where there is none, says so, and fills
+ * `spec`. */
+TL_NODISCARD enum err import_finish(struct import *im, struct job_spec *spec);
+void import_frame(struct import *im);
+TL_NODISCARD enum err import_sky(struct import *im);
+
+/* Reads a model into an initialised `im`, finished. */
+TL_NODISCARD enum err import_run(struct import *im, struct job_spec *spec);
+
+/* The bounds of all objects in world space. */
+void import_bounds(const struct import *im, double low[3], double high[3]);
+
+/* out = m * p for an affine row-major 4x4. */
+void import_transform_point(const double m[16], const double p[3], double out[3]);
+void import_transform_vector(const double m[16], const double v[3], double out[3]);
+/* out = a * b; out may not be either. */
+void import_transform_multiply(const double a[16], const double b[16], double out[16]);
+
+#endif

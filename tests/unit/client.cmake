@@ -1,0 +1,3 @@
+foreach(part option settings text stream files metrics)
+  tilery_test(test_cli_${part} LABEL unit LINKS tl_client SOURCES unit/test_cli_${part}.c)
+endforeach()

@@ -1,0 +1,300 @@
+/* What people read: the progress line, tables, durations, the report block. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "client/human.h"
+#include "client/preview.h"
+#include "client/progress.h"
+#include "client/report_text.h"
+#include "client/text_table.h"
+
+static struct progress_now example(void)
+{
+    return (struct progress_now){.state = "rendering",
+                                 .done = 0.579,
+                                 .has_left = true,
+                                 .left_s = {38.2, 51.9},
+                                 .relmse = 0.021,
+                                 .rays_s = 119e6,
+                                 .workers = 8};
+}
+
+static void test_progress_widths(void **state)
+{
+    struct progress_now now = example();
+    char text[PROGRESS_COLUMNS_MAX];
+    (void)state;
+    progress_text(&now, 200, text);
+    assert_string_equal(text, " 57% [=========>       ] 38-52 s left  relMSE 0.0210  119 Mray/s"
+                              "  8 workers");
+    progress_text(&now, 70, text);
+    assert_string_equal(text, " 57% [=========>       ] 38-52 s left  relMSE 0.0210  119 Mray/s");
+    progress_text(&now, 60, text);
+    assert_string_equal(text, " 57% [=========>       ] 38-52 s left  relMSE 0.0210");
+    progress_text(&now, 40, text);
+    assert_string_equal(text, " 57% [=========>       ] 38-52 s left");
+    progress_text(&now, 30, text);
+    assert_string_equal(text, " 57% 38-52 s left");
+    progress_text(&now, 8, text);
+    assert_string_equal(text, " 57%");
+}
+
+static void test_progress_states(void **state)
+{
+    struct progress_now now = example();
+    char text[PROGRESS_COLUMNS_MAX];
+    (void)state;
+    now.has_left = false;
+    now.relmse = (double)NAN;
+    now.rays_s = 0;
+    now.workers = 1;
+    now.done = 0.9999;
+    progress_text(&now, 0, text);
+    assert_string_equal(text, " 99% [================>] - left  1 worker");
+    now.waiting_s = 12;
+    now.advice = "start one: tilery-worker --master 10.0.0.5:7000";
+    progress_text(&now, 0, text);
+    assert_string_equal(text, " 99% stalled 12 s: no worker; start one: tilery-worker --master "
+                              "10.0.0.5:7000");
+}
+
+/* Runs `feed` on a progress in that mode and gives what was written. */
+static void captured(enum progress_mode mode, void (*feed)(struct progress *), char *out,
+                     size_t bytes)
+{
+    int fds[2];
+    struct progress p;
+    assert_int_equal(pipe(fds), 0);
+    progress_init(&p, mode, fds[1], 0);
+    feed(&p);
+    progress_end(&p);
+    (void)close(fds[1]);
+    ssize_t got = read(fds[0], out, bytes - 1);
+    out[got > 0 ? got : 0] = '\0';
+    (void)close(fds[0]);
+}
+
+static void feed_tenths(struct progress *p)
+{
+    struct progress_now now = example();
+    for (int i = 0; i <= 100; i++) {
+        now.done = i / 100.0;
+        progress_update(p, &now, i * 0.1);
+    }
+}
+
+static void test_lines_each_tenth(void **state)
+{
+    char text[4000];
+    size_t lines = 0;
+    (void)state;
+    captured(PROGRESS_LINES, feed_tenths, text, sizeof text);
+    for (const char *c = text; *c; c++)
+        lines += *c == '\n';
+    assert_int_equal(lines, 10);
+    assert_memory_equal(text, " 10%", 4);
+    assert_non_null(strstr(text, "\n100%"));
+    assert_null(strchr(text, '\r'));
+    assert_null(strchr(text, '\x1b'));
+}
+
+static void feed_backwards(struct progress *p)
+{
+    struct progress_now now = example();
+    now.done = 0.5;
+    progress_update(p, &now, 0);
+    now.done = 0.3;
+    progress_update(p, &now, 1);
+    now.done = 0.31;
+    progress_update(p, &now, 302);
+}
+
+static void test_never_back(void **state)
+{
+    char text[4000];
+    (void)state;
+    captured(PROGRESS_LINES, feed_backwards, text, sizeof text);
+    assert_non_null(strstr(text, "more samples needed"));
+    assert_null(strstr(text, " 30%"));
+    assert_null(strstr(text, " 31%"));
+    assert_non_null(strstr(strstr(text, "more"), " 50%")); /* the line due after 5 minutes */
+}
+
+static void feed_events(struct progress *p)
+{
+    for (int i = 0; i < 7; i++) {
+        char line[80];
+        (void)snprintf(line, sizeof line, "unit %d failed on w%d: out of \x1b[31m memory", i, i);
+        progress_event(p, line, i);
+    }
+    progress_event(p, "w9 joined", 8);
+}
+
+static void test_events_counted(void **state)
+{
+    char text[4000];
+    (void)state;
+    captured(PROGRESS_LINES, feed_events, text, sizeof text);
+    assert_non_null(strstr(text, "unit 2 failed"));
+    assert_null(strstr(text, "unit 3 failed"));
+    assert_non_null(strstr(text, "and 4 more like: unit  failed"));
+    assert_non_null(strstr(text, "w9 joined"));
+    assert_null(strchr(text, '\x1b'));
+}
+
+static void feed_json(struct progress *p)
+{
+    struct progress_now now = example();
+    (void)snprintf(now.job, sizeof now.job, "j42");
+    progress_update(p, &now, 12.4);
+    progress_event(p, "say \"hi\"", 13);
+}
+
+static void test_json_lines(void **state)
+{
+    char text[4000];
+    (void)state;
+    captured(PROGRESS_JSON, feed_json, text, sizeof text);
+    assert_string_equal(text, "{\"event\":\"progress\",\"t\":12.400,\"job\":\"j42\",\"done\":0.579,"
+                              "\"left_s\":[38.2,51.9],\"relmse\":0.021,\"workers\":8}\n"
+                              "{\"event\":\"log\",\"t\":13.000,\"line\":\"say \\\"hi\\\"\"}\n");
+}
+
+static void duration(double seconds, const char *expected)
+{
+    char text[HUMAN_BYTES];
+    human_duration(seconds, text);
+    assert_string_equal(text, expected);
+}
+
+static void test_human(void **state)
+{
+    char text[HUMAN_BYTES];
+    (void)state;
+    duration(0.25, "0.2 s");
+    duration(59.4, "59 s");
+    duration(59.7, "1 min 0 s");
+    duration(72.3, "1 min 12 s");
+    duration(7500, "2 h 5 min");
+    human_left(38.2, 51.9, text);
+    assert_string_equal(text, "38-52 s");
+    human_left(100, 200, text);
+    assert_string_equal(text, "2-3 min");
+    human_left(9000, 9100, text);
+    assert_string_equal(text, "3 h");
+    human_count(1234567, text);
+    assert_string_equal(text, "1,234,567");
+    human_count(12, text);
+    assert_string_equal(text, "12");
+    human_error(0.0000123, text);
+    assert_string_equal(text, "1.2e-05");
+    human_rays(4.1e9, text);
+    assert_string_equal(text, "4.1 Gray/s");
+}
+
+static void test_table(void **state)
+{
+    static const char *const headings[] = {"JOB", "DONE", "NOTE"};
+    struct text_table t;
+    struct buf out;
+    (void)state;
+    text_table_init(&t, headings, "lrl");
+    text_table_add(&t, "j1");
+    text_table_addf(&t, "%d%%", 5);
+    text_table_add(&t, "behind 1 job\x1b");
+    text_table_add(&t, "j1000");
+    text_table_add(&t, NULL);
+    text_table_add(&t, "\xc3\xa4\xc3\xb6 words that are long");
+    buf_init(&out);
+    text_table_print(&t, 0, false, &out);
+    buf_put_u8(&out, 0);
+    assert_string_equal((const char *)out.data,
+                        "JOB    DONE  NOTE\n"
+                        "j1       5%  behind 1 job?\n"
+                        "j1000     -  \xc3\xa4\xc3\xb6 words that are long\n");
+    buf_clear(&out);
+    text_table_print(&t, 20, false, &out);
+    buf_put_u8(&out, 0);
+    assert_string_equal((const char *)out.data, "JOB    DONE  NOTE\n"
+                                                "j1       5%  behind \n"
+                                                "j1000     -  \xc3\xa4\xc3\xb6 word\n");
+    buf_release(&out);
+    text_table_release(&t);
+}
+
+static void test_report(void **state)
+{
+    static const char report[] =
+        "{\"job\":\"j1\",\"state\":\"done\",\"width\":1920,\"height\":1080,\"spp_min\":64,"
+        "\"spp_max\":912,\"spp_mean\":203,\"image_sha256\":\"4f1c\",\"nonfinite_samples\":2,"
+        "\"seconds\":{\"total\":72.3,\"load\":0.2,\"build\":0.9,\"render\":70.1,\"gather\":null},"
+        "\"core_seconds\":564,\"workers\":8,\"units\":{\"total\":512,\"retried\":3,\"rejected\":0},"
+        "\"error\":{\"relmse\":0.0019,\"relmse_low\":0.0017,\"relmse_high\":0.0021}}";
+    struct json_get g;
+    struct diag_list problems;
+    struct buf out;
+    (void)state;
+    diag_init(&problems);
+    assert_int_equal(json_get_open(&g, report, strlen(report), "r", &problems), ERR_OK);
+    buf_init(&out);
+    report_text(g.root, "car.exr", &out);
+    buf_put_u8(&out, 0);
+    assert_string_equal((const char *)out.data,
+                        "car.exr  1920x1080, 64 to 912 spp (mean 203), done in 1 min 12 s\n"
+                        "  error    relMSE 0.00190 (95 %: 0.00170 to 0.00210)\n"
+                        "  time     load 0.20, build 0.90, render 70.1 s; 9.4 core-min\n"
+                        "  farm     8 workers; 512 units, 3 retried, 0 rejected\n"
+                        "  sha256   4f1c\n"
+                        "  note     2 non-finite samples counted as black\n");
+    buf_release(&out);
+    json_get_close(&g);
+    diag_release(&problems);
+}
+
+static void test_preview(void **state)
+{
+    static const unsigned char rgb[2 * 4 * 3] = {
+        10, 0, 0, 20, 0, 0, 30, 0, 0, 40, 0, 0,  /* row 0 */
+        0,  8, 0, 0,  8, 0, 0,  8, 0, 0,  8, 0}; /* row 1 */
+    struct preview_cell cells[2];
+    uint32_t columns, rows;
+    (void)state;
+    preview_scale(rgb, 4, 2, 3, 2, 1, cells);
+    assert_int_equal(cells[0].top[0], 15);
+    assert_int_equal(cells[1].top[0], 35);
+    assert_int_equal(cells[1].bottom[1], 8);
+    preview_fit(1920, 1080, 79, 20, &columns, &rows);
+    assert_int_equal(rows, 20);
+    assert_int_equal(columns, 71);
+    preview_fit(1, 65535, 79, 20, &columns, &rows);
+    assert_int_equal(columns, 1);
+    assert_int_equal(rows, 20);
+    preview_fit(3, 3, 79, 20, &columns, &rows);
+    assert_int_equal(columns, 3);
+    assert_int_equal(rows, 2);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_progress_widths),
+        cmocka_unit_test(test_progress_states),
+        cmocka_unit_test(test_lines_each_tenth),
+        cmocka_unit_test(test_never_back),
+        cmocka_unit_test(test_events_counted),
+        cmocka_unit_test(test_json_lines),
+        cmocka_unit_test(test_human),
+        cmocka_unit_test(test_table),
+        cmocka_unit_test(test_report),
+        cmocka_unit_test(test_preview),
+    };
+    return cmocka_run_group_tests_name("cli_text", tests, NULL, NULL);
+}
