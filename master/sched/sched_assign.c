@@ -3,6 +3,7 @@
 
 enum {
     RUN_CELLS_MAX = 65536, /* cells looked at for one unit */
+    SUSPECTS_LOOKED_AT = 8,
     CHECKS_LOOKED_AT = 8,  /* pending ones that are tried for a worker */
     COPIES_LOOKED_AT = 16, /* oldest leases among which the slowest is copied */
     TRIES_COPY = 4,        /* idle workers that are tried for a copy per event */
@@ -103,11 +104,28 @@ static uint32_t check_for(const struct sched *s, const struct job *j, const stru
     return SLOT_NONE;
 }
 
+/* A pending suspect that did not take this worker down just now, or SLOT_NONE. */
+static uint32_t suspect_for(const struct sched *s, const struct chain *pending,
+                            const struct worker *w)
+{
+    uint32_t p = pending->head;
+    for (int i = 0; i < SUSPECTS_LOOKED_AT && p != SLOT_NONE; i++) {
+        const struct suspect *suspect = &s->suspects[p];
+        bool lost = false;
+        for (int k = 0; k < SUSPECT_LOSERS; k++)
+            lost |= suspect->losers[k] == w->handle;
+        if (!lost || s->now_ms - suspect->lost_ms >= SUSPECT_PATIENCE_MS)
+            return p;
+        p = s->suspect_pool.links[p].next;
+    }
+    return SLOT_NONE;
+}
+
 static bool job_offers(const struct sched *s, const struct job *j, const struct worker *w)
 {
-    return j->suspects.count > 0 || j->spots.waiting > 0 ||
-           (j->suspects_alone.count > 0 && w->held == 0) ||
-           (j->checks.count > 0 && check_for(s, j, w) != SLOT_NONE);
+    return j->spots.waiting > 0 || suspect_for(s, &j->suspects, w) != SLOT_NONE ||
+           (w->held == 0 && suspect_for(s, &j->suspects_alone, w) != SLOT_NONE) ||
+           check_for(s, j, w) != SLOT_NONE;
 }
 
 static bool job_has_work(const struct job *j)
@@ -120,7 +138,8 @@ static bool job_has_work(const struct job *j)
 static bool reserve(struct sched *s, struct job *j, uint32_t worker)
 {
     struct worker *w = &s->workers[worker];
-    if (j->suspects_alone.count <= j->reserved || w->held == 0)
+    if (j->suspects_alone.count <= j->reserved || w->held == 0 ||
+        suspect_for(s, &j->suspects_alone, w) == SLOT_NONE)
         return false;
     j->reserved++;
     w->reserved_job = j->id;
@@ -220,16 +239,17 @@ static uint32_t lease_from(struct sched *s, uint32_t worker, uint32_t job)
     const struct worker_job *wj = worker_job_get(s, w, j->id);
     if (!wj)
         return SLOT_NONE;
-    while (j->suspects_alone.count > 0 && w->held == 0) {
-        uint32_t lease = lease_suspect(s, worker, job, j->suspects_alone.head, true);
+    uint32_t p;
+    while (w->held == 0 && (p = suspect_for(s, &j->suspects_alone, w)) != SLOT_NONE) {
+        uint32_t lease = lease_suspect(s, worker, job, p, true);
         if (lease != SLOT_NONE || s->lease_map.count == s->lease_map.capacity)
             return lease;
     }
     uint32_t check = check_for(s, j, w);
     if (check != SLOT_NONE)
         return lease_check(s, worker, job, check);
-    while (j->suspects.count > 0) {
-        uint32_t lease = lease_suspect(s, worker, job, j->suspects.head, false);
+    while ((p = suspect_for(s, &j->suspects, w)) != SLOT_NONE) {
+        uint32_t lease = lease_suspect(s, worker, job, p, false);
         if (lease != SLOT_NONE || s->lease_map.count == s->lease_map.capacity)
             return lease;
     }
@@ -376,32 +396,40 @@ static bool farm_has_work(const struct sched *s)
 
 void assign_rearm(struct sched *s)
 {
-    s->tries_work = TRIES;
-    s->tries_copy = TRIES_COPY;
+    s->went_without[0] = s->went_without[1] = 0;
+}
+
+/* The list whose first worker is to be tried: idle threads before prefetch. Each worker is tried
+ * about once, and no more than TRIES go without: the others are first at the next event. */
+static struct chain *list_to_try(struct sched *s, bool work)
+{
+    uint32_t tries = work ? TRIES : TRIES_COPY;
+    if (s->went_without[0] < (tries < s->starving.count ? tries : s->starving.count))
+        return &s->starving;
+    if (work && s->went_without[1] < (tries < s->prefetch.count ? tries : s->prefetch.count))
+        return &s->prefetch;
+    return NULL;
 }
 
 bool assign_next(struct sched *s, struct sched_action *out)
 {
     bool work = farm_has_work(s);
-    for (;;) {
-        bool starving = s->starving.count > 0 && (work ? s->tries_work : s->tries_copy) > 0;
-        struct chain *list = starving ? &s->starving : &s->prefetch;
-        if (list->count == 0 || (!starving && (!work || s->tries_work == 0)))
-            return false;
+    struct chain *list;
+    while ((list = list_to_try(s, work)) != NULL) {
         uint32_t worker = list->head;
         enum worker_list was = s->workers[worker].list;
         uint32_t lease = lease_for(s, worker, work);
-        if (lease == SLOT_NONE) {
-            s->tries_work -= s->tries_work > 0;
-            s->tries_copy -= s->tries_copy > 0;
-        }
         worker_begin_leases(s, worker);
         worker_place(s, worker);
         if (s->workers[worker].list == was)
             rotate(s, list, worker);
-        if (lease == SLOT_NONE)
+        if (lease == SLOT_NONE) {
+            s->went_without[list == &s->prefetch]++;
             continue;
+        }
+        assign_rearm(s);
         announce(s, lease, out);
         return true;
     }
+    return false;
 }

@@ -35,7 +35,9 @@ enum {
     UNFIT_POINTS = 2,        /* a worker says that it cannot render the job */
     UNFIT_POINTS_LOST = 1,   /* a worker is lost while it gets ready */
     UNFIT_POINTS_FAIL = 6,   /* without anyone ready in between: the job fails */
-    TICK_MS = 100,           /* while workers are idle and leases are out */
+    SUSPECT_LOSERS = 4,
+    SUSPECT_PATIENCE_MS = 5000, /* before a worker gets a unit again with which it was lost */
+    TICK_MS = 100,              /* while workers are idle and leases are out */
 };
 
 struct spot_counts {
@@ -141,8 +143,10 @@ struct suspect {
     uint32_t job;
     struct unit unit;
     uint32_t losses, losses_alone;
-    uint32_t lease; /* SLOT_NONE: pending */
-    uint32_t open;  /* spots it holds while pending */
+    uint64_t losers[SUSPECT_LOSERS]; /* handles of the workers that were lost, a ring */
+    uint64_t lost_ms;                /* when the last one was */
+    uint32_t lease;                  /* SLOT_NONE: pending */
+    uint32_t open;                   /* spots it holds while pending */
 };
 
 struct vote {
@@ -205,7 +209,7 @@ struct sched {
     uint32_t news_begin, news_count, news_capacity;
     struct sched_action stash; /* a LEASE behind its OPEN_JOB */
     bool stashed;
-    uint32_t tries_work, tries_copy; /* workers that may still go without before the next event */
+    uint32_t went_without[2]; /* tries in a row that gave nothing: of starving, of prefetching */
 };
 
 /* --- sched.c --- */

@@ -153,18 +153,31 @@ static uint32_t suspect_of(struct sched *s, uint32_t lease)
     return slot;
 }
 
-/* Counts a loss against the unit of `owner`; true: it is one too many for the job. */
+/* Is there anyone else to ask? */
+static bool others_usable(const struct sched *s, const struct worker *w)
+{
+    return s->threads > (w->counted ? w->threads : 0);
+}
+
+/* Counts a loss against the unit of `owner`; true: it is one too many for the job. That one worker
+ * fails it again and again tells nothing of the unit, while there are others. */
 static bool suspect_blame(struct sched *s, uint32_t owner, const struct lease *lost)
 {
     uint32_t slot = suspect_of(s, owner);
     if (slot == SLOT_NONE)
         return false;
     struct suspect *p = &s->suspects[slot];
-    p->losses++;
+    const struct worker *w = &s->workers[lost->worker];
+    p->lost_ms = s->now_ms;
+    for (int i = 0; i < SUSPECT_LOSERS; i++) {
+        if (p->losers[i] == w->handle && others_usable(s, w))
+            return false;
+    }
+    p->losers[p->losses++ % SUSPECT_LOSERS] = w->handle;
     if (lost->alone)
         p->losses_alone++;
     sched_news_push(s, &(struct sched_action){.type = SCHED_UNIT_LOST,
-                                              .worker = s->workers[lost->worker].handle,
+                                              .worker = w->handle,
                                               .job = s->jobs[lost->job].id,
                                               .unit = lost->unit,
                                               .epoch = lost->epoch,

@@ -3,3 +3,5 @@ tilery_test(test_sched_parts LABEL unit LINKS tl_sched SOURCES ${unit}/test_sche
 tilery_test(test_sched_eta LABEL unit LINKS tl_sched m SOURCES ${unit}/test_sched_eta.c)
 tilery_test(test_sched LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched.c ${unit}/sched_rig.c)
+tilery_test(test_sched_faults LABEL unit LINKS tl_sched
+  SOURCES ${unit}/test_sched_faults.c ${unit}/sched_rig.c)
