@@ -44,8 +44,8 @@ struct parser {
     size_t outline_capacity;
     uint32_t (*split)[3];
     size_t split_capacity;
-    size_t point_count, line_count, degenerate_count, odd_count;
-    uint64_t degenerate_line, odd_line;
+    size_t point_count, line_count, degenerate_count, odd_count, dangling_count;
+    uint64_t degenerate_line, odd_line, dangling_line;
 };
 
 static void problem(struct parser *p, const char *id, const char *hint, const char *text)
@@ -175,6 +175,15 @@ static void index_problem(struct parser *p, unsigned kind, int64_t index)
     problem(p, "index-out-of-range", NULL, text);
 }
 
+/* A face without its position is an error; without its uv or normal it still has its shape. */
+static void index_missing(struct parser *p, unsigned kind, int64_t index)
+{
+    if (kind == POSITION)
+        index_problem(p, kind, index);
+    else
+        p->dangling_line = p->dangling_count++ ? p->dangling_line : p->line;
+}
+
 /* From the file's index to ours; OBJ_NONE (and a problem) when it cannot be. */
 static uint32_t resolve(struct parser *p, unsigned kind, int64_t index)
 {
@@ -182,7 +191,7 @@ static uint32_t resolve(struct parser *p, unsigned kind, int64_t index)
     if (index < 0 && (uint64_t)-index <= count)
         return (uint32_t)(count - (uint64_t)-index);
     if (index <= 0 || index >= (int64_t)UINT32_MAX) {
-        index_problem(p, kind, index);
+        index_missing(p, kind, index);
         return OBJ_NONE;
     }
     if ((uint64_t)index > count) {
@@ -340,23 +349,37 @@ static void judge_forwards(struct parser *p)
         const struct forward *f = &p->forwards[i];
         p->line = f->line;
         if (f->index > p->count[f->kind])
-            index_problem(p, f->kind, f->index);
+            index_missing(p, f->kind, f->index);
     }
+}
+
+/* Corners whose uv or normal the file turned out not to have lose it. */
+static void drop_dangling(struct parser *p)
+{
+    for (size_t i = 0; p->dangling_count && i < p->triangle_count; i++) {
+        for (size_t j = 0; j < 3; j++) {
+            struct obj_corner *c = &p->triangles[i].corners[j];
+            c->uv = c->uv < p->count[UV] ? c->uv : OBJ_NONE;
+            c->normal = c->normal < p->count[NORMAL] ? c->normal : OBJ_NONE;
+        }
+    }
+}
+
+static void warn(struct parser *p, const char *id, size_t count, uint64_t line, const char *what)
+{
+    if (count)
+        diag_add(p->problems, DIAG_WARNING, (struct diag_place){.file = p->file, .line = line}, id,
+                 NULL, "%zu %s; this is the first", count, what);
 }
 
 static void warn_counts(struct parser *p)
 {
-    struct diag_place place = {.file = p->file, .line = p->degenerate_line};
-    if (p->degenerate_count)
-        diag_add(p->problems, DIAG_WARNING, place, "degenerate-face", NULL,
-                 "%zu faces with fewer than three corners are left out; this is the first",
-                 p->degenerate_count);
-    place.line = p->odd_line;
-    if (p->odd_count)
-        diag_add(p->problems, DIAG_WARNING, place, "odd-number", NULL,
-                 "%zu numbers are followed by other characters, which are ignored; this is the "
-                 "first",
-                 p->odd_count);
+    warn(p, "degenerate-face", p->degenerate_count, p->degenerate_line,
+         "faces with fewer than three corners are left out");
+    warn(p, "odd-number", p->odd_count, p->odd_line,
+         "numbers are followed by other characters, which are ignored");
+    warn(p, "index-out-of-range", p->dangling_count, p->dangling_line,
+         "uv or normal indices are out of range and are ignored");
 }
 
 static void parser_release(struct parser *p)
@@ -420,6 +443,7 @@ enum err obj_read(const char *text, size_t bytes, const char *file, struct obj_m
                                                           : ERR_OK;
     if (e == ERR_OK) {
         judge_forwards(&p);
+        drop_dangling(&p);
         warn_counts(&p);
         e = problems->error_count == errors_before ? ERR_OK : ERR_INPUT;
     }

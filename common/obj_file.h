@@ -42,7 +42,8 @@ struct obj_model {
 
 /* You release `out`. ERR_INPUT with problems (an index out of range, a coordinate that is not
  * finite ...), ERR_LIMIT, ERR_NOMEM. Faces of fewer than three corners are left out with a warning,
- * as are characters glued to a number. No face at all is not an error here. */
+ * as are uv and normal indices out of range and characters glued to a number. No face at all is not
+ * an error here. */
 TL_NODISCARD enum err obj_read(const char *text, size_t bytes, const char *file,
                                struct obj_model *out, struct diag_list *problems);
 void obj_release(struct obj_model *m);

@@ -46,6 +46,7 @@ struct reader {
 
     struct scene_mesh mesh; /* being made */
     bool has[ROLE_COUNT], has_vertices;
+    bool skim_vertices, skim_faces; /* read past them */
     uint64_t vertex_count;
     size_t triangle_count, triangle_capacity;
     uint32_t *list; /* of the face being read */
@@ -263,6 +264,13 @@ static bool take_value(struct reader *r, enum scalar type, double *out)
     return true;
 }
 
+/* An ascii element is a line: what its header does not name is ignored. */
+static void skip_rest_of_line(struct reader *r)
+{
+    while (r->form == ASCII && r->at < r->end && *r->at != '\n' && *r->at != '\r')
+        r->at++;
+}
+
 static enum err cut_short(struct reader *r, const struct element *e, uint64_t index)
 {
     char text[160];
@@ -328,7 +336,7 @@ static enum err read_vertices(struct reader *r, const struct element *e)
     /* Each vertex takes at least a byte a property: what the file cannot hold is not allocated. */
     if (e->count > (uint64_t)(r->end - r->at) / e->property_count)
         return problem(r, "ply-data", "the file is too short for its vertices");
-    if (!vertex_alloc(r))
+    if (!r->skim_vertices && !vertex_alloc(r))
         return ERR_NOMEM;
     for (uint64_t i = 0; i < e->count; i++) {
         double v[ROLE_COUNT] = {0}, value = 0;
@@ -342,7 +350,9 @@ static enum err read_vertices(struct reader *r, const struct element *e)
                     return cut_short(r, e, i);
             v[p->role] = value;
         }
-        put_vertex(r, (size_t)i, v);
+        skip_rest_of_line(r);
+        if (!r->skim_vertices)
+            put_vertex(r, (size_t)i, v);
     }
     return ERR_OK;
 }
@@ -444,7 +454,7 @@ static enum err read_list(struct reader *r, const struct element *e, uint64_t in
         return cut_short(r, e, index);
     if (!(count >= 0 && count <= (double)LIST_COUNT_MAX * 1024) || count != floor(count))
         return problem(r, "ply-data", "a list has an impossible length");
-    if (p->indices || p->strips)
+    if ((p->indices || p->strips) && !r->skim_faces)
         return read_corners(r, e, index, p, count);
     for (double k = 0; k < count; k++)
         if (!take_value(r, p->type, &value))
@@ -463,6 +473,7 @@ static enum err read_other(struct reader *r, const struct element *e)
             else if (!take_value(r, p->type, &value))
                 return cut_short(r, e, i);
         }
+        skip_rest_of_line(r);
     }
     return ERR_OK;
 }
@@ -476,6 +487,26 @@ static enum err read_elements(struct reader *r)
         TL_TRY(strcmp(e->name, "vertex") == 0 ? read_vertices(r, e) : read_other(r, e));
     }
     return ERR_OK;
+}
+
+/* Where faces stand before the vertices they refer to, the data is read twice. */
+static enum err read_body(struct reader *r)
+{
+    size_t first = 0;
+    while (first < r->element_count && strcmp(r->elements[first].name, "vertex") != 0)
+        first++;
+    r->line = r->form == ASCII ? r->line : 0;
+    if (first == 0 || first == r->element_count)
+        return read_elements(r);
+    const char *start = r->at;
+    uint64_t start_line = r->line;
+    r->skim_faces = true;
+    TL_TRY(read_elements(r));
+    r->at = start;
+    r->line = start_line;
+    r->skim_faces = false;
+    r->skim_vertices = true;
+    return read_elements(r);
 }
 
 static enum err judge(struct reader *r)
@@ -503,10 +534,8 @@ enum err ply_read_mesh(const char *data, size_t bytes, const char *file, struct 
     r->problems = problems;
     size_t errors_before = problems->error_count;
     enum err e = parse_header(r);
-    if (e == ERR_OK) {
-        r->line = r->form == ASCII ? r->line : 0;
-        e = read_elements(r);
-    }
+    if (e == ERR_OK)
+        e = read_body(r);
     if (e == ERR_OK && problems->error_count != errors_before)
         e = ERR_INPUT;
     r->line = 0;
