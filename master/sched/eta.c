@@ -1,7 +1,5 @@
 #include "master/sched/eta.h"
 
-#include <math.h>
-
 /* 10 % of a normal distribution lie above mean + Z80 x sd, 10 % below mean - Z80 x sd. */
 static const double Z80 = 1.2816;
 
@@ -26,7 +24,7 @@ double eta_spread_cv(const struct eta_spread *s)
 {
     if (s->count < 2 || s->mean <= 0.0)
         return 0.0;
-    return sqrt(s->m2 / (double)(s->count - 1)) / s->mean;
+    return __builtin_sqrt(s->m2 / (double)(s->count - 1)) / s->mean;
 }
 
 bool eta_left(const struct eta *e, double *low_s, double *high_s)
@@ -38,11 +36,11 @@ bool eta_left(const struct eta *e, double *low_s, double *high_s)
 
     /* The mean of what was measured is itself a guess of the mean of what was not; a spread that
      * is large is skewed too, and its measure falls short of it. */
-    double sd_unknown =
-        e->unknown_s * cv * (1.0 + 0.25 * cv) * sqrt(1.0 / (double)e->spread.count + 1.0 / units);
+    double sd_unknown = e->unknown_s * cv * (1.0 + 0.25 * cv) *
+                        __builtin_sqrt(1.0 / (double)e->spread.count + 1.0 / units);
     double sd_known = e->known_s * CV_REPEAT;
     double sd_pace = (e->known_s + e->unknown_s) * CV_PACE;
-    double sd = sqrt(sd_unknown * sd_unknown + sd_known * sd_known + sd_pace * sd_pace);
+    double sd = __builtin_sqrt(sd_unknown * sd_unknown + sd_known * sd_known + sd_pace * sd_pace);
     double left_s = e->known_s + e->unknown_s;
 
     /* Units that are out are longer than those that are done: a long one is out for longer. */
@@ -52,7 +50,7 @@ bool eta_left(const struct eta *e, double *low_s, double *high_s)
     /* Threads run out of units one by one, within about the length of a unit that is longer than
      * most; and nothing ends before the longest unit that is out. */
     double sd_tail_s = SD_UNIFORM * e->longest_open_s * (1.0 + 4.0 * cv * cv);
-    double sd_s = sqrt(sd * sd / (e->threads * e->threads) + sd_tail_s * sd_tail_s);
+    double sd_s = __builtin_sqrt(sd * sd / (e->threads * e->threads) + sd_tail_s * sd_tail_s);
     double middle_s = left_s / e->threads;
     if (middle_s < e->longest_open_s)
         middle_s = e->longest_open_s;
