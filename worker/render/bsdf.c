@@ -113,6 +113,10 @@ rgb bsdf_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf)
     case SCENE_MATERIAL_ROUGH_CONDUCTOR:
         return flip ? conductor_eval(b, v3_neg(wo), v3_neg(wi), pdf)
                     : conductor_eval(b, wo, wi, pdf);
+    case SCENE_MATERIAL_ROUGH_DIELECTRIC:
+        return dielectric_eval(b, wo, wi, pdf);
+    case SCENE_MATERIAL_PRINCIPLED:
+        return principled_eval(b, wo, wi, pdf);
     default:
         return rgb_grey(0);
     }
@@ -137,6 +141,10 @@ bool bsdf_sample(const struct bsdf *b, vec3 wo, const double u[3], struct bsdf_s
         if (flip)
             s->wi = v3_neg(s->wi);
         return true;
+    case SCENE_MATERIAL_ROUGH_DIELECTRIC:
+        return wo.z != 0 && dielectric_sample(b, wo, u, s);
+    case SCENE_MATERIAL_PRINCIPLED:
+        return principled_sample(b, wo, u, s);
     default:
         return false;
     }

@@ -20,6 +20,11 @@
 #include "common/scene.h"
 #include "worker/render/vec.h"
 
+enum { PRINCIPLED_SHEEN_TABLE = 16 };
+
+/* Smoother facets than this are not told apart. */
+static const double PRINCIPLED_ALPHA_MIN = 1e-3;
+
 /* Indices are into the render scene's tables; SCENE_NONE when absent. */
 struct material {
     enum scene_material_type type;
@@ -33,12 +38,30 @@ struct material {
     double alpha_x, alpha_y, eta;
     rgb R, T;
     rgb conductor_eta, conductor_k; /* relative to the outside */
+
+    /* Principled. */
+    double metallic, roughness, transmission;
+    uint32_t metallic_roughness_texture, transmission_texture;
+    double specular, clearcoat, clearcoat_roughness;
+    rgb specular_color, sheen_color;
+    double sheen_alpha;
+    double sheen_albedo[PRINCIPLED_SHEEN_TABLE]; /* over the cosine, by principled_prepare */
+
+    uint32_t normal_texture;
+    double normal_scale;
+    bool has_alpha; /* lets some light straight through */
+    double alpha;
+    double alpha_cutoff; /* < 0: blends */
 };
+
+/* Fills the tables that a principled material needs, from its other fields. */
+void principled_prepare(struct material *m);
 
 /* Of one point; about a cache line or two, made and used on the stack. */
 struct bsdf {
     const struct material *material;
-    rgb color; /* albedo, reflectance, base colour */
+    rgb color;                                /* albedo, reflectance, base colour */
+    double metallic, roughness, transmission; /* principled */
 };
 
 enum {

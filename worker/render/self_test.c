@@ -76,22 +76,37 @@ static void test_samplers(struct digest_ctx *c)
 
 static struct material test_material(enum scene_material_type type, int variant)
 {
-    return (struct material){.type = type,
-                             .texture = SCENE_NONE,
-                             .color = {0.5, 0.6, 0.7},
-                             .distribution = variant ? SCENE_GGX : SCENE_BECKMANN,
-                             .alpha_x = 0.2,
-                             .alpha_y = 0.4,
-                             .eta = 1.5,
-                             .R = {1, 0.9, 0.8},
-                             .T = {0.7, 0.8, 0.9},
-                             .conductor_eta = {0.2, 0.9, 1.1},
-                             .conductor_k = {3.9, 2.5, 2.1}};
+    struct material m = {.type = type,
+                         .texture = SCENE_NONE,
+                         .color = {0.5, 0.6, 0.7},
+                         .distribution = variant ? SCENE_GGX : SCENE_BECKMANN,
+                         .alpha_x = 0.2,
+                         .alpha_y = 0.4,
+                         .eta = 1.5,
+                         .R = {1, 0.9, 0.8},
+                         .T = {0.7, 0.8, 0.9},
+                         .conductor_eta = {0.2, 0.9, 1.1},
+                         .conductor_k = {3.9, 2.5, 2.1},
+                         .metallic = 0.3,
+                         .roughness = 0.4,
+                         .transmission = variant ? 0.5 : 0,
+                         .specular = 1,
+                         .clearcoat = variant ? 0 : 0.5,
+                         .clearcoat_roughness = 0.2,
+                         .specular_color = {1, 0.9, 0.8},
+                         .sheen_color = {0.1, 0.2, 0.3},
+                         .sheen_alpha = 0.25};
+    principled_prepare(&m);
+    return m;
 }
 
 static void test_bsdf(struct digest_ctx *c, const struct material *m)
 {
-    struct bsdf b = {.material = m, .color = m->color};
+    struct bsdf b = {.material = m,
+                     .color = m->color,
+                     .metallic = m->metallic,
+                     .roughness = m->roughness,
+                     .transmission = m->transmission};
     for (uint64_t i = 0; i < POINTS; i++) {
         double u[SAMPLER_SET_VALUES], v[SAMPLER_SET_VALUES], pdf;
         inputs(2, i, u);

@@ -11,6 +11,57 @@ static frame frame_along(vec3 n, vec3 dpdu)
     return (frame){s, v3_cross(n, s), n};
 }
 
+/* The shading normal bent by a tangent-space normal map. */
+static vec3 mapped_normal(const struct render_scene *scene, const struct material *m,
+                          const struct surface *s)
+{
+    rgb c = texture_color(&scene->textures[m->normal_texture], s->u, s->v);
+    vec3 local = v3((2 * c.r - 1) * m->normal_scale, (2 * c.g - 1) * m->normal_scale, 2 * c.b - 1);
+    frame f = frame_along(s->ns, s->dpdu);
+    f.t = v3_scale(f.t, s->handed);
+    vec3 n = frame_to_world(&f, local);
+    double length2 = v3_dot(n, n);
+    return length2 > 0 ? v3_scale(n, 1 / sqrt(length2)) : s->ns;
+}
+
+static double clamp01(double x)
+{
+    return x > 0 ? (x < 1 ? x : 1) : 0;
+}
+
+/* Metallic-roughness and transmission at the point, as glTF packs them. */
+static void look_up_principled(const struct render_scene *scene, const struct material *m,
+                               const struct surface *s, struct bsdf *b)
+{
+    b->metallic = m->metallic;
+    b->roughness = m->roughness;
+    b->transmission = m->transmission;
+    if (m->metallic_roughness_texture != SCENE_NONE) {
+        rgb t = texture_color(&scene->textures[m->metallic_roughness_texture], s->u, s->v);
+        b->roughness *= clamp01(t.g);
+        b->metallic *= clamp01(t.b);
+    }
+    if (m->transmission_texture != SCENE_NONE) {
+        rgb t = texture_color(&scene->textures[m->transmission_texture], s->u, s->v);
+        b->transmission *= clamp01(t.r);
+    }
+}
+
+double shade_opacity(const struct render_scene *scene, const struct hit *hit)
+{
+    const struct material *m = &scene->materials[scene->objects[hit->object].material];
+    if (!m->has_alpha)
+        return 1;
+    double alpha = 1;
+    if (m->texture != SCENE_NONE) {
+        struct surface s;
+        surface_of_hit(scene, hit, &s);
+        (void)texture_color_alpha(&scene->textures[m->texture], s.u, s.v, &alpha);
+    }
+    alpha = clamp01(alpha * m->alpha);
+    return m->alpha_cutoff < 0 ? alpha : alpha >= m->alpha_cutoff;
+}
+
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
                   struct shade *out)
 {
@@ -18,6 +69,8 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     struct surface *s = &out->surface;
     const struct material *m = &scene->materials[s->material];
     vec3 wo = v3_neg(dir);
+    if (m->normal_texture != SCENE_NONE)
+        s->ns = mapped_normal(scene, m, s);
     /* A shading normal seen from behind where the surface is seen from the front, or the other
      * way about, says nothing: the geometric one takes over. */
     if ((v3_dot(wo, s->ns) > 0) != (v3_dot(wo, s->ng) > 0))
@@ -30,4 +83,6 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
         rgb t = texture_color(&scene->textures[m->texture], s->u, s->v);
         out->bsdf.color = rgb_mul(m->color, t);
     }
+    if (m->type == SCENE_MATERIAL_PRINCIPLED)
+        look_up_principled(scene, m, s, &out->bsdf);
 }

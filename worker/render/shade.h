@@ -14,6 +14,9 @@ struct shade {
     vec3 wo; /* local */
 };
 
+/* How opaque the surface is at a hit, 0 to 1. */
+double shade_opacity(const struct render_scene *scene, const struct hit *hit);
+
 /* `dir` is the unit direction of the ray that hit. */
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
                   struct shade *out);

@@ -85,6 +85,7 @@ static void triangle_uv(const float *uvs, const struct triangle *t, struct surfa
     double du2 = uv[2][0] - uv[0][0], dv2 = uv[2][1] - uv[0][1];
     double det = du1 * dv2 - du2 * dv1;
     vec3 e1 = v3_sub(t->v[1], t->v[0]), e2 = v3_sub(t->v[2], t->v[0]);
+    s->handed = det < 0 ? -1 : 1;
     if (det != 0)
         s->dpdu = v3_scale(v3_sub(v3_scale(e1, dv2), v3_scale(e2, dv1)), det < 0 ? -1 : 1);
 }
@@ -127,6 +128,7 @@ static void surface_of_triangle(const struct render_scene *scene,
     if (material->needs_uv) {
         s->u = s->v = 0;
         s->dpdu = e1;
+        s->handed = 1;
         if (mesh->uvs)
             triangle_uv(mesh->uvs, &t, s);
         if (mesh->uvs && instance)
@@ -147,6 +149,7 @@ static void surface_of_sphere(const struct render_scene *scene, const struct ren
         s->u = (phi < 0 ? phi + 2 * VEC_PI : phi) / (2 * VEC_PI);
         s->v = dmath_acos(z) / VEC_PI;
         s->dpdu = v3(-s->ng.y, s->ng.x, 0);
+        s->handed = 1;
     }
 }
 

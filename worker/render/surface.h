@@ -11,12 +11,13 @@
 #include "worker/render/render_scene.h"
 
 struct surface {
-    vec3 p;       /* scene space */
-    vec3 ng;      /* unit geometric normal: the triangle's winding, or outward */
-    vec3 ns;      /* unit shading normal, on the side of ng */
-    double error; /* p is at most this far from the true surface, along ng */
-    double u, v;  /* only for materials with textures */
-    vec3 dpdu;    /* direction of growing u; only for materials that ask for tangents */
+    vec3 p;        /* scene space */
+    vec3 ng;       /* unit geometric normal: the triangle's winding, or outward */
+    vec3 ns;       /* unit shading normal, on the side of ng */
+    double error;  /* p is at most this far from the true surface, along ng */
+    double u, v;   /* only for materials with textures */
+    double handed; /* -1 where u and v are a mirror image, else 1; as dpdu */
+    vec3 dpdu;     /* direction of growing u; only for materials that ask for tangents */
     uint32_t object, primitive, material;
 };
 

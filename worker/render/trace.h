@@ -36,8 +36,6 @@ struct trace_best {
     bool found;
 };
 
-struct trace_scene; /* accel_parts.h */
-
 /* Scales a direction; false if it is zero or not finite. */
 bool trace_scale(const double dir[3], double scaled[3], double *scale);
 

@@ -23,6 +23,7 @@ struct path {
     double pdf;        /* with which the last direction was drawn; 0: by a delta lobe, or camera */
     vec3 org;          /* where the last direction left from, for the pdf of lights */
     double light_u[2]; /* where on a light the next vertex looks */
+    uint32_t passes;   /* surfaces gone straight through, by alpha */
     uint32_t x, y;     /* pixel of the full picture */
 };
 
@@ -54,11 +55,15 @@ enum {
     WAVE_SET_CAMERA = 0, /* film x, y; light u, v at vertex 0 */
     WAVE_SET_LENS = 1,   /* lens u, v */
     WAVE_SET_VERTEX = 2, /* of vertex 0: bsdf u, v; light u, v at vertex 1 */
-    WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light, opacity */
+    WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light */
     WAVE_SETS_PER_VERTEX = 2,
+    WAVE_SET_PASS = 1 << 30, /* opacity of the first surface gone through, and so on */
 };
 
-/* Casts the rays under way. */
+/* A ray that has gone through this many surfaces is held by the next. */
+enum { WAVE_PASSES_MAX = 1024 };
+
+/* Casts the rays under way; where alpha lets a ray through, it goes on until something holds it. */
 void wave_trace(const struct render_scene *scene, struct render_scratch *w);
 
 /* Adds a shadow ray for a path: from `org` to `target`, or along `wi` without end if `distant`. */

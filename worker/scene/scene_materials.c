@@ -1,5 +1,8 @@
 #include "worker/scene/scene_parts.h"
 
+/* Sheen finer than this is a line. */
+static const double SHEEN_ALPHA_MIN = 1e-2;
+
 static size_t image_bytes(const struct scene_image *image)
 {
     size_t sample = image->format == SCENE_IMAGE_F32 ? sizeof(float) : 1;
@@ -62,6 +65,32 @@ static rgb divided(const double a[3], const double b[3])
                  a[2] / (b[2] > 0 ? b[2] : 1)};
 }
 
+/* A rough dielectric whose index is this close to 1 bends nothing: it has no facets to sample. */
+static const double ETA_STEP_MIN = 1e-6;
+
+static void make_principled(const struct scene_material *from, struct material *out)
+{
+    out->metallic = from->metallic;
+    out->roughness = from->roughness;
+    out->transmission = from->transmission;
+    out->metallic_roughness_texture = from->metallic_roughness_texture;
+    out->transmission_texture = from->transmission_texture;
+    out->specular = from->specular;
+    out->specular_color = rgb_of(from->specular_color);
+    out->clearcoat = from->clearcoat;
+    out->clearcoat_roughness = from->clearcoat_roughness;
+    out->sheen_color = rgb_of(from->sheen_color);
+    double sheen = from->sheen_roughness * from->sheen_roughness;
+    out->sheen_alpha = sheen > SHEEN_ALPHA_MIN ? sheen : SHEEN_ALPHA_MIN;
+    out->normal_texture = from->normal_texture;
+    out->normal_scale = from->normal_scale;
+    out->alpha = from->alpha;
+    out->alpha_cutoff = from->alpha_cutoff;
+    out->has_alpha = from->alpha_used && (from->texture != SCENE_NONE || from->alpha < 1);
+    if (from->type == SCENE_MATERIAL_PRINCIPLED && rgb_max(out->sheen_color) > 0)
+        principled_prepare(out);
+}
+
 static void make_material(const struct scene *scene, const struct scene_material *from,
                           struct material *out)
 {
@@ -76,11 +105,16 @@ static void make_material(const struct scene *scene, const struct scene_material
                              .conductor_eta = divided(from->etaT, from->etaI),
                              .conductor_k = divided(from->k, from->etaI)};
     make_albedo(scene, from, out);
+    make_principled(from, out);
+    if (from->type == SCENE_MATERIAL_ROUGH_DIELECTRIC && fabs(from->eta - 1) < ETA_STEP_MIN)
+        out->type = SCENE_MATERIAL_GLASS;
     out->is_delta = from->type == SCENE_MATERIAL_MIRROR ||
                     from->type == SCENE_MATERIAL_REFRACTION || from->type == SCENE_MATERIAL_GLASS ||
                     from->type == SCENE_MATERIAL_BLACK;
     out->is_anisotropic = from->alpha_x != from->alpha_y;
-    out->needs_uv = out->texture != SCENE_NONE || out->is_anisotropic;
+    out->needs_uv = out->texture != SCENE_NONE || out->is_anisotropic ||
+                    out->metallic_roughness_texture != SCENE_NONE ||
+                    out->transmission_texture != SCENE_NONE || out->normal_texture != SCENE_NONE;
 }
 
 enum err scene_build_materials(struct render_scene *rs, const struct scene *scene)
@@ -98,6 +132,10 @@ enum err scene_build_materials(struct render_scene *rs, const struct scene *scen
         rs->material_count = scene->material_count + 1;
         for (size_t i = 0; i < scene->material_count; i++)
             make_material(scene, &scene->materials[i], &rs->materials[i]);
+        for (size_t i = 0; i < scene->object_count; i++) {
+            uint32_t material = scene->objects[i].material;
+            rs->has_alpha |= material != SCENE_NONE && rs->materials[material].has_alpha;
+        }
         rs->materials[scene->material_count] = (struct material){
             .type = SCENE_MATERIAL_BLACK, .texture = SCENE_NONE, .is_delta = true};
     }
