@@ -88,7 +88,7 @@ enum err err_from_errno(int errnum);
 #ifdef TL_DEBUG
 #define TL_DASSERT(cond) TL_ASSERT(cond)
 #else
-#define TL_DASSERT(cond) ((void)0)
+#define TL_DASSERT(cond) ((void)sizeof(!(cond)))
 #endif
 
 void err_trace(const char *file, int line, const char *expr, enum err e);
