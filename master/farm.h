@@ -1,0 +1,307 @@
+/* master/farm.h: the master's state: jobs, workers, and what ties them to scheduler and store.
+ *
+ * One loop thread owns everything here. The parts, each in its own file:
+ *
+ *   farm.c       scheduler glue: feeds events, carries out actions, keeps its timer
+ *   jobs.c       the table of jobs: submit, admit, pause, cancel, finish, retention
+ *   job_film.c   a job's film: load, checkpoint, finish, picture
+ *   results.c    a result's way: decode, check, schedule, store, film, acknowledge
+ *   workers.c    connections: hello, leases out, heartbeats, loss
+ *   chunks.c     scene chunks by SHA-256
+ *   events.c     news for people: event stream and logs
+ *
+ * A unit's way: Result arrives -> decoded and checked (pool when large) -> scheduler says which
+ * cells are new -> store appends, syncs, commits (its thread) -> film adds, worker is
+ * acknowledged. A job is done when the scheduler has every spot and the film every sum; then
+ * the picture is made and hashed (pool), the job's row committed, the film checkpointed.
+ */
+#ifndef MASTER_FARM_H
+#define MASTER_FARM_H
+
+#include <uv.h>
+
+#include "master/chunks.h"
+#include "master/events.h"
+#include "master/film.h"
+#include "master/sched/sched.h"
+#include "master/store.h"
+#include "proto/transport.h"
+
+enum {
+    FARM_JOBS_MAX = 100000,       /* kept at once, finished ones included */
+    FARM_WORKERS_MAX = 10000,     /* known at once, lost ones included */
+    FARM_CONNECTIONS_MAX = 12000, /* at once, those before their hello included */
+    FARM_HEARTBEAT_MS = 1000,
+    FARM_CHECKPOINT_BYTES = 32 << 20,   /* of journal since the last checkpoint of a job */
+    FARM_EVENTS_SHOWN = 20,             /* last lines of a job's log in its report */
+    FARM_INLINE_BYTES = 32 << 10,       /* results up to this size are decoded on the loop */
+    FARM_PICTURE_BYTES_MAX = INT32_MAX, /* of a film's sums, in KiB: 2 TiB */
+};
+
+struct farm;
+
+/* --- Jobs ----------------------------------------------------------------- */
+
+struct job_event {
+    int64_t at_us;
+    char text[200];
+};
+
+struct job {
+    struct job_record rec; /* rec.spec_json is owned */
+    struct job_spec spec;
+    struct job_blocks blocks;
+    struct grid grid; /* valid while grid_ready */
+    bool grid_ready;
+    uint64_t rev; /* rises with every visible change */
+
+    /* While the scheduler knows it. */
+    bool in_sched, sched_done;
+    void *sched_memory;
+    uint64_t *spot_hash;   /* per block * cells + cell: of the accepted bits; 0: not known */
+    uint32_t *spot_worker; /* who gave them */
+    double done_share;     /* last known, for when the scheduler has forgotten it */
+
+    /* Film and journal. */
+    struct film *film;      /* NULL: not loaded, or nothing rendered yet */
+    bool has_stored;        /* the store holds a checkpoint or results */
+    uint32_t film_users;    /* readers and operations that need it to stay */
+    uint64_t film_used_at;  /* for eviction */
+    uint64_t sequence;      /* of the last result handed to the store */
+    uint64_t settled;       /* up to here the store has answered */
+    uint32_t in_store;      /* results handed over and not yet answered */
+    uint64_t journal_bytes; /* since the last checkpoint */
+    bool checkpointing, finishing, record_dirty, record_storing;
+    bool final_stored; /* ended and its film is checkpointed */
+
+    /* For the report. */
+    int64_t ready_us, last_result_us;
+    uint64_t rate_samples; /* samples at the last rate sample */
+    uint64_t contributors; /* workers that gave results: bits of worker ids are in `seen` */
+    uint32_t *seen;        /* ids of contributors, sorted by arrival */
+    size_t seen_capacity;
+    struct job_event events[FARM_EVENTS_SHOWN];
+    uint32_t event_count; /* ever; the last FARM_EVENTS_SHOWN are kept */
+    int64_t news_at_ms;   /* when a job event was last sent */
+    bool news_due;
+};
+
+/* --- Workers -------------------------------------------------------------- */
+
+struct worker {
+    struct farm *farm;
+    uint64_t id;       /* "w3" is 3 */
+    uint64_t instance; /* random per process */
+    struct conn *conn; /* NULL: lost */
+    char name[65], host[65], cpu[33], build[65];
+    char tags[8][33];
+    uint32_t tag_count, threads;
+    int64_t seen_ms; /* loop time of its last message */
+    int64_t joined_us;
+    bool draining, said_goodbye;
+    uint64_t bytes_in, bytes_out, frames_in, frames_out; /* of connections that are gone */
+    uint64_t rtt_us;
+    double speed_rays_s; /* smoothed, one thread times threads */
+    uint64_t rays;
+    char note[129];
+    enum sched_worker_state told;   /* last state sent as an event */
+    struct chunk_wait *chunk_waits; /* requests not answered yet */
+};
+
+/* --- Farm ----------------------------------------------------------------- */
+
+struct farm_counters {
+    uint64_t results, result_bytes, results_refused, scene_bytes, connections, handshakes_refused;
+    uint64_t samples, rays;
+};
+
+struct farm {
+    uv_loop_t *loop; /* borrowed */
+    struct store *store;
+    struct sched *sched;
+    struct arena arena; /* the scheduler's */
+    struct chunk_store *chunks;
+    struct events *events;
+    struct transport *transport;
+    struct listener *listener;
+
+    struct job **jobs; /* by rising id */
+    size_t job_count, job_capacity;
+    uint64_t job_next;       /* id of the next one */
+    struct worker **workers; /* by rising id */
+    size_t worker_count, worker_capacity;
+    uint64_t worker_next;
+    struct idempotency *keys; /* jobs.c */
+
+    uint64_t id;          /* random per data directory */
+    uint64_t epoch_limit; /* on disk: no epoch reaches it */
+    bool determinism_known;
+    digest determinism;   /* what a worker must have */
+    const char *token;    /* borrowed; NULL: none asked */
+    uint32_t retention_s; /* finished jobs are kept so long; 0: for ever */
+
+    uv_timer_t sched_timer, tick_timer;
+    uv_prepare_t settle; /* before the loop sleeps: admits jobs */
+    uv_async_t store_wake;
+    int handles_open;
+    void (*stopped)(void *ctx);
+    void *stopped_ctx;
+
+    /* Scheduler glue. */
+    bool draining_actions;
+    struct sched_event *later; /* events fed while actions were carried out */
+    size_t later_count, later_capacity;
+    struct result *answering; /* the result that ACCEPT and COMPARE speak of */
+    bool admit_due;           /* a job may be let into the scheduler */
+    uint32_t sched_jobs;      /* known to the scheduler */
+
+    bool stopping;
+    struct farm_counters counters;
+    double rays_s; /* of the whole farm, over the last seconds */
+    uint64_t rays_before;
+    int64_t rays_before_ms;
+};
+
+struct farm_options {
+    const char *listen, *data_dir, *token;
+    bool determinism_pinned;
+    digest determinism;
+    uint32_t retention_s;
+};
+
+/* Opens the store, takes up unfinished jobs, listens. On failure what went wrong was written to the
+ * log as an error. ERR_STATE: the data folder is in use; ERR_ADDRESS; ... */
+TL_NODISCARD enum err farm_start(struct farm *f, uv_loop_t *loop, const struct farm_options *o);
+
+/* Tells workers, stores what is in memory, closes; calls `done` when all is closed. farm_release
+ * then frees the rest, once the loop has ended. */
+void farm_stop(struct farm *f, void (*done)(void *ctx), void *ctx);
+void farm_release(struct farm *f);
+
+/* Feeds the scheduler and carries out what it answers; later, when called while it does. */
+void farm_feed(struct farm *f, const struct sched_event *event);
+
+/* Milliseconds of the loop's monotonic clock; microseconds since 1970. */
+int64_t farm_now_ms(const struct farm *f);
+int64_t farm_wall_us(void);
+
+/* --- jobs.c --------------------------------------------------------------- */
+
+struct job *farm_job(const struct farm *f, uint64_t id); /* NULL: unknown */
+struct worker *farm_worker(const struct farm *f, uint64_t id);
+
+/* What a submission asks for; texts are copied. */
+struct job_request {
+    const char *name;
+    const struct job_spec *spec;
+    digest package;
+    int32_t priority;
+    const char *key; /* Idempotency-Key, or NULL */
+    digest body;     /* of the request's body, for the key */
+};
+
+/* Makes a job, and calls `done` when it is on disk. ERR_LIMIT: too many jobs or too large. */
+TL_NODISCARD enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *done,
+                                  void *ctx, struct job **out);
+
+/* The job made under a key; *conflict when its body differed. NULL: none. */
+struct job *jobs_by_key(const struct farm *f, const char *key, const digest *body, bool *conflict);
+
+/* ERR_STATE: not possible in its state. Stored by the time `done` is called. */
+TL_NODISCARD enum err jobs_set_state(struct farm *f, struct job *job, enum job_state to,
+                                     store_done *done, void *ctx);
+TL_NODISCARD enum err jobs_set_priority(struct farm *f, struct job *job, int32_t priority,
+                                        store_done *done, void *ctx);
+
+/* Loads rows, journals and keys of an earlier life. */
+TL_NODISCARD enum err jobs_load(struct farm *f);
+void jobs_release(struct farm *f);
+
+/* Lets waiting jobs into the scheduler as far as there is room. */
+void jobs_admit(struct farm *f);
+
+/* Every second: retention, rows that could not be stored, films that nobody needs. */
+void jobs_tick(struct farm *f);
+
+/* The scheduler's news. */
+void jobs_started(struct farm *f, struct job *job);
+void jobs_sched_done(struct farm *f, struct job *job);
+void jobs_sched_failed(struct farm *f, struct job *job, const char *why);
+
+/* Takes the job out of the scheduler; it may be admitted again from its film. */
+void jobs_leave_sched(struct farm *f, struct job *job);
+/* The scheduler has forgotten it: frees what it had lent. */
+void jobs_left_sched(struct job *job);
+
+/* The disk would not take a result: pauses the job and says why. */
+void jobs_disk_trouble(struct farm *f, struct job *job, enum err e);
+void jobs_fail(struct farm *f, struct job *job, const char *why);
+
+/* A line in the job's log, its report and the event stream. */
+void jobs_log(struct farm *f, struct job *job, const char *format, ...) TL_PRINTF(3, 4);
+
+/* Something visible changed: a `job` event is due (at once when `urgent`, else at most 2 a second).
+ */
+void jobs_changed(struct farm *f, struct job *job, bool urgent);
+
+/* Stores the job's row now; retried every second until it works. */
+void jobs_store_record(struct farm *f, struct job *job);
+
+/* Share done, and seconds left when known. */
+double jobs_done_share(const struct farm *f, const struct job *job);
+/* Why it is not moving, or "". */
+const char *jobs_note(const struct farm *f, const struct job *job);
+
+/* --- job_film.c ----------------------------------------------------------- */
+
+TL_NODISCARD enum err job_need_grid(struct job *job);
+TL_NODISCARD enum err job_need_film(struct job *job); /* an empty one if there is none */
+
+/* Replays checkpoint and journal; before the store's thread starts. */
+TL_NODISCARD enum err job_load_film(struct farm *f, struct job *job);
+
+/* After a unit was added, or the scheduler was done: checkpoint or finish when due. */
+void job_film_changed(struct farm *f, struct job *job);
+void job_checkpoint(struct farm *f, struct job *job);
+
+/* The picture as a file, made on the pool. `done` gets the bytes (takes them) or an error. */
+enum picture_format { PICTURE_EXR, PICTURE_PNG };
+typedef void picture_done(void *ctx, enum err e, struct buf *file);
+TL_NODISCARD enum err job_picture(struct farm *f, struct job *job, enum picture_format format,
+                                  picture_done *done, void *ctx);
+
+/* Frees films of finished jobs when there are too many. */
+void job_films_evict(struct farm *f);
+
+/* --- results.c ------------------------------------------------------------ */
+
+/* Takes `body`. */
+void results_take(struct farm *f, struct worker *w, const tilery_Result *m, unsigned char *body,
+                  size_t body_bytes);
+/* The scheduler's answers about farm.answering. */
+void results_accept(struct farm *f, const struct sched_action *a);
+void results_compare(struct farm *f, const struct sched_action *a);
+/* Cells that a liar touched start again. */
+void results_reset_liar(struct farm *f, const struct sched_action *a);
+
+/* Adds one journal record to film and totals at restart (store_replay). */
+enum err results_replay(void *job, struct film *film, const struct journal_result *r,
+                        const unsigned char *body);
+
+/* --- workers.c ------------------------------------------------------------ */
+
+TL_NODISCARD enum err workers_listen(struct farm *f, const char *address);
+void workers_stop(struct farm *f);
+void workers_release(struct farm *f);
+/* Sends to a worker by id; nothing when it is gone. */
+void workers_send(struct farm *f, uint64_t worker, const struct message *m);
+void workers_open_job(struct farm *f, uint64_t worker, uint64_t job);
+void workers_news(struct farm *f, const struct sched_action *a);
+void workers_tick(struct farm *f);
+enum sched_worker_state workers_state(const struct farm *f, const struct worker *w,
+                                      struct sched_worker_info *info);
+TL_NODISCARD enum err workers_drain(struct farm *f, struct worker *w);
+/* A `workers` event about this one. */
+void workers_changed(struct farm *f, struct worker *w);
+
+#endif

@@ -1,0 +1,102 @@
+/* master/film.h: where the block sums of a job's units become a picture.
+ *
+ * Per pixel and colour two double sums, one for each half (even and odd sample
+ * blocks). Blocks are added per pixel strictly in block order within each half,
+ * whatever order they arrive in, so that the picture's bits depend on nothing but the
+ * job. A block that comes before its predecessor waits in memory; the scheduler's
+ * window bounds how much can wait.
+ *
+ * Sums lie in grid order (grid.h), as payloads do, so that adding a unit is three
+ * straight loops. The film borrows the grid, which must outlive it.
+ *
+ * Threads: all functions belong to the loop thread, but between film_read_begin and
+ * film_read_end those marked "reader" may run on another thread meanwhile: units that
+ * arrive are then held aside and added when the last reader has gone.
+ *
+ * Invariants (film_check):
+ *   1. A (cell, block) is present at most once: added, waiting or held.
+ *   2. next[half][cell] blocks of a half are added, and none behind them.
+ *   3. A waiting unit has at least one cell whose turn has not come.
+ *
+ * Tests: tests/unit/test_film.c.
+ */
+#ifndef MASTER_FILM_H
+#define MASTER_FILM_H
+
+#include "common/digest.h"
+#include "common/grid.h"
+
+enum { FILM_CHANNELS = 3, FILM_HALVES = 2 };
+
+struct film; /* opaque */
+
+/* Memory that a film of this job takes when nothing waits, in bytes. */
+uint64_t film_bytes_of(const struct job_spec *spec);
+
+/* Empty. Borrows `grid`. ERR_NOMEM. */
+TL_NODISCARD enum err film_new(const struct grid *grid, const struct job_blocks *blocks,
+                               struct film **out);
+void film_free(struct film *f);
+
+/* Takes `rgb` (mem_alloc'ed: FILM_CHANNELS planes of grid_pixels(unit) floats) on success.
+ * ERR_STATE: a cell of the unit already has this block. ERR_NOMEM. The unit must be one of the
+ * grid's (grid_has_unit). */
+TL_NODISCARD enum err film_add(struct film *f, struct unit unit, float *rgb);
+
+/* These cells start again from nothing: what they had, waiting payloads included, is dropped.
+ * ERR_NOMEM (only while somebody reads): nothing changed. */
+TL_NODISCARD enum err film_reset(struct film *f, uint32_t cell_begin, uint32_t cell_count);
+
+/* True if any cell of the unit already has this block. */
+bool film_has_any(const struct film *f, struct unit unit);
+
+/* True when every block of every cell is in the sums. */
+bool film_complete(const struct film *f);
+
+/* Cell-blocks present and in all, and the bytes of payloads that wait. */
+uint64_t film_present_count(const struct film *f);
+uint64_t film_total_count(const struct film *f);
+uint64_t film_waiting_bytes(const struct film *f);
+
+/* Calls `visit` for maximal runs of cells whose block is present, block by block. */
+void film_each_present(const struct film *f, void (*visit)(void *ctx, struct unit run), void *ctx);
+
+void film_read_begin(struct film *f);
+void film_read_end(struct film *f);
+
+/* Reader. Linear RGB, row by row of the crop, FILM_CHANNELS floats a pixel: (A + B) over the
+ * samples that are in. Pixels without samples are 0. */
+void film_picture(const struct film *f, float *rgb);
+
+/* What the halves say about the picture's error; all 0 and false when a pixel has no sample in
+ * one of the halves. relMSE as in ARCHITECTURE.md, its reference replaced by the picture
+ * itself and (x - r)^2 by its unbiased estimate from the halves, w (A - B)^2 with
+ * w = nA nB / (nA + nB)^2. The interval takes the terms as normal (variance of a square from
+ * its fourth moment). */
+struct film_error {
+    bool known;
+    double relmse, relmse_low, relmse_high; /* 95 % */
+    double mean, mean_low, mean_high;       /* of all pixels and channels, 95 % */
+};
+
+/* Reader. Needs no memory beyond the stack. */
+void film_error_estimate(const struct film *f, struct film_error *out);
+
+/* Fewest, mean and most samples of a pixel. Reader. */
+void film_samples(const struct film *f, uint64_t *spp_min, double *spp_mean, uint64_t *spp_max);
+
+/* Reader. Gives everything but held units to `write`, in pieces; stops at its first error. */
+TL_NODISCARD enum err film_save(const struct film *f,
+                                enum err (*write)(void *ctx, const void *data, size_t bytes),
+                                void *ctx);
+
+/* A film as film_save wrote it for the same grid and blocks. `read` fills all of `bytes` or
+ * fails. ERR_CORRUPT: not such a film. */
+TL_NODISCARD enum err film_load(const struct grid *grid, const struct job_blocks *blocks,
+                                enum err (*read)(void *ctx, void *data, size_t bytes), void *ctx,
+                                struct film **out);
+
+/* Asserts the invariants; for tests. */
+void film_check(const struct film *f);
+
+#endif

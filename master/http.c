@@ -1,0 +1,680 @@
+#include "master/http.h"
+
+#include <errno.h>
+#include <inttypes.h>
+#include <microhttpd.h>
+#include <netdb.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "common/log.h"
+#include "common/mem.h"
+#include "master/http_impl.h"
+
+static const struct route routes[] = {
+    {"GET", "/", http_get_page, 0, true},
+    {"GET", "/app.js", http_get_script, 0, true},
+    {"GET", "/style.css", http_get_style, 0, true},
+    {"GET", "/healthz", http_get_health, 0, true},
+    {"GET", "/metrics", http_get_metrics, 0, false},
+    {"GET", "/api/v1/openapi.json", http_get_openapi, 0, true},
+    {"POST", "/api/v1/session", http_post_session, HTTP_BODY_BYTES_MAX, true},
+    {"POST", "/api/v1/chunks/missing", http_post_missing, HTTP_BODY_BYTES_MAX * 16, false},
+    {"PUT", "/api/v1/chunks/{}", http_put_chunk, HTTP_CHUNK_BYTES_MAX, false},
+    {"POST", "/api/v1/jobs", http_post_jobs, HTTP_BODY_BYTES_MAX, false},
+    {"GET", "/api/v1/jobs", http_get_jobs, 0, false},
+    {"GET", "/api/v1/jobs/{}", http_get_job, 0, false},
+    {"PATCH", "/api/v1/jobs/{}", http_patch_job, HTTP_BODY_BYTES_MAX, false},
+    {"GET", "/api/v1/jobs/{}/picture.exr", http_get_exr, 0, false},
+    {"GET", "/api/v1/jobs/{}/picture.png", http_get_png, 0, false},
+    {"GET", "/api/v1/workers", http_get_workers, 0, false},
+    {"PATCH", "/api/v1/workers/{}", http_patch_worker, HTTP_BODY_BYTES_MAX, false},
+    {"GET", "/api/v1/farm", http_get_farm, 0, false},
+    {"GET", "/api/v1/events", http_get_events, 0, false},
+};
+
+/* On every answer: nothing but our own files runs in the page, nobody frames it. */
+static const char *const headers[][2] = {
+    {"Content-Security-Policy",
+     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
+    {"X-Content-Type-Options", "nosniff"},
+    {"Referrer-Policy", "no-referrer"},
+    {"Cross-Origin-Opener-Policy", "same-origin"},
+    {"Cross-Origin-Resource-Policy", "same-origin"},
+    {"Cache-Control", "no-store"},
+};
+
+/* --- Running libmicrohttpd in the loop ---------------------------------- */
+
+static void on_timer(uv_timer_t *timer);
+
+static void run_daemon(struct http *h)
+{
+    if (h->running) {
+        h->kicked = true;
+        return;
+    }
+    h->running = true;
+    do {
+        h->kicked = false;
+        (void)MHD_run(h->daemon);
+    } while (h->kicked);
+    h->running = false;
+    MHD_UNSIGNED_LONG_LONG wait_ms = 0;
+    if (MHD_get_timeout(h->daemon, &wait_ms) == MHD_YES)
+        (void)uv_timer_start(&h->timer, on_timer, wait_ms, 0);
+    else
+        (void)uv_timer_stop(&h->timer);
+}
+
+static void on_timer(uv_timer_t *timer)
+{
+    run_daemon(timer->data);
+}
+
+static void on_tick(uv_timer_t *timer)
+{
+    http_streams_tick(timer->data);
+}
+
+static void on_poll(uv_poll_t *poll, int status, int events)
+{
+    (void)status;
+    (void)events;
+    run_daemon(poll->data);
+}
+
+void http_kick(struct http *h)
+{
+    if (h->kicked || h->stopping)
+        return;
+    h->kicked = true;
+    if (!h->running)
+        (void)uv_timer_start(&h->timer, on_timer, 0, 0);
+}
+
+/* --- Answers ------------------------------------------------------------ */
+
+const char *request_query(struct request *r, const char *key)
+{
+    return MHD_lookup_connection_value(r->connection, MHD_GET_ARGUMENT_KIND, key);
+}
+
+const char *request_head(struct request *r, const char *key)
+{
+    return MHD_lookup_connection_value(r->connection, MHD_HEADER_KIND, key);
+}
+
+void request_header(struct request *r, const char *name, const char *value)
+{
+    if (r->response)
+        (void)MHD_add_response_header(r->response, name, value);
+}
+
+static void answer(struct request *r, unsigned status, const char *type,
+                   struct MHD_Response *response)
+{
+    TL_ASSERT(!r->answered);
+    r->answered = true;
+    r->status = status;
+    r->response = response;
+    request_header(r, "Content-Type", type);
+    for (size_t i = 0; i < sizeof headers / sizeof *headers; i++)
+        request_header(r, headers[i][0], headers[i][1]);
+    if (status >= 400)
+        r->http->counters.problems++;
+    if (r->waiting) {
+        r->waiting = false;
+        MHD_resume_connection(r->connection);
+        http_kick(r->http);
+    }
+}
+
+/* libmicrohttpd frees with free(); our buffers come from mem.h, which is malloc behind a counter.
+ */
+static void free_body(void *data)
+{
+    mem_free(data);
+}
+
+void request_reply(struct request *r, unsigned status, const char *type, struct buf *body)
+{
+    struct MHD_Response *response = NULL;
+    if (buf_status(body) == ERR_OK) {
+        r->http->counters.bytes_out += body->bytes;
+        response =
+            MHD_create_response_from_buffer_with_free_callback(body->bytes, body->data, free_body);
+        if (response)
+            buf_init(body);
+    }
+    buf_release(body);
+    answer(r, status, type, response);
+}
+
+void request_stream(struct request *r, struct MHD_Response *response)
+{
+    answer(r, MHD_HTTP_OK, "text/event-stream", response);
+}
+
+static void put_problem_head(struct buf *b, unsigned status, const char *id, const char *detail,
+                             const char *path)
+{
+    char title[64];
+    (void)snprintf(title, sizeof title, "%s", id);
+    for (char *c = title; *c; c++)
+        if (*c == '-')
+            *c = ' ';
+    if (title[0] >= 'a' && title[0] <= 'z')
+        title[0] = (char)(title[0] - 'a' + 'A');
+    buf_printf(b, "{\"type\":\"/docs/errors#%s\",\"title\":\"%s\",\"status\":%u,\"detail\":", id,
+               title, status);
+    json_put_text(b, detail);
+    buf_printf(b, ",\"instance\":");
+    json_put_text(b, path);
+}
+
+void request_problems(struct request *r, unsigned status, const char *id, const char *detail,
+                      const struct diag_list *problems)
+{
+    struct buf b;
+    buf_init(&b);
+    put_problem_head(&b, status, id, detail, r->path);
+    if (problems) {
+        buf_printf(&b, ",\"errors\":[");
+        for (size_t i = 0; i < problems->count; i++) {
+            const struct diag *d = &problems->items[i];
+            buf_printf(&b, "%s{\"pointer\":", i ? "," : "");
+            json_put_text(&b, d->path ? d->path : "$");
+            buf_printf(&b, ",\"detail\":");
+            json_put_text(&b, d->text);
+            buf_printf(&b, ",\"hint\":");
+            json_put_text(&b, d->hint);
+            buf_printf(&b, ",\"id\":\"%s\"}", d->id);
+        }
+        buf_put_u8(&b, ']');
+    }
+    buf_printf(&b, "}\n");
+    request_reply(r, status, "application/problem+json", &b);
+    if (status == MHD_HTTP_UNAUTHORIZED)
+        request_header(r, "WWW-Authenticate", "Bearer realm=\"tilery\"");
+    if (status == MHD_HTTP_SERVICE_UNAVAILABLE || status == MHD_HTTP_TOO_MANY_REQUESTS)
+        request_header(r, "Retry-After", "2");
+}
+
+void request_problem(struct request *r, unsigned status, const char *id, const char *format, ...)
+{
+    char detail[512];
+    va_list args;
+    va_start(args, format);
+    (void)vsnprintf(detail, sizeof detail, format, args);
+    va_end(args);
+    request_problems(r, status, id, detail, NULL);
+}
+
+void request_error(struct request *r, enum err e)
+{
+    switch (e) {
+    case ERR_NOSPACE:
+        request_problem(r, MHD_HTTP_INSUFFICIENT_STORAGE, "disk-full",
+                        "the master's disk is full; nothing was lost, make room and try again");
+        break;
+    case ERR_LIMIT:
+        request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "over-limit", "%s", err_text(e));
+        break;
+    case ERR_CANCELLED:
+    case ERR_NOMEM:
+        request_problem(r, MHD_HTTP_SERVICE_UNAVAILABLE, "busy", "the master is out of memory");
+        break;
+    default:
+        request_problem(r, MHD_HTTP_INTERNAL_SERVER_ERROR, "master-failed",
+                        "the master's disk: %s; its log says more", err_text(e));
+        break;
+    }
+}
+
+struct later *request_later(struct request *r)
+{
+    TL_ASSERT(!r->later);
+    r->later = mem_calloc(1, sizeof *r->later);
+    if (r->later)
+        r->later->request = r;
+    else
+        request_error(r, ERR_NOMEM);
+    return r->later;
+}
+
+struct request *request_of(struct later *later)
+{
+    struct request *r = later->request;
+    if (r)
+        r->later = NULL;
+    mem_free(later);
+    return r;
+}
+
+void request_wait(struct request *r)
+{
+    if (r->answered)
+        return; /* the answer came before it had to wait */
+    r->waiting = true;
+    MHD_suspend_connection(r->connection);
+}
+
+bool request_json(struct request *r, struct json_get *g, struct diag_list *problems,
+                  const char *const *keys, size_t key_count)
+{
+    diag_init(problems);
+    const char *text = r->body.bytes ? (const char *)r->body.data : "";
+    enum err e = json_get_open(g, text, r->body.bytes, NULL, problems);
+    if (e == ERR_OK) {
+        if (json_get_is(g, g->root, JSON_OBJECT))
+            json_get_keys(g, g->root, keys, key_count);
+        if (problems->error_count == 0)
+            return true;
+        json_get_close(g);
+    }
+    if (e == ERR_NOMEM)
+        request_error(r, e);
+    else
+        request_problems(r, MHD_HTTP_BAD_REQUEST, "bad-request",
+                         "the body is not the JSON object asked for", problems);
+    diag_release(problems);
+    return false;
+}
+
+uint64_t http_id(const char *text, char letter)
+{
+    uint64_t id = 0;
+    if (text[0] != letter || text[1] == '0' || text[1] == '\0')
+        return 0;
+    for (const char *c = text + 1; *c; c++) {
+        if (*c < '0' || *c > '9' || id > UINT64_MAX / 100)
+            return 0;
+        id = id * 10 + (uint64_t)(*c - '0');
+    }
+    return id;
+}
+
+/* --- Refusing ----------------------------------------------------------- */
+
+static bool same_text(const char *a, const char *b)
+{
+    digest x = digest_of(a, strlen(a)), y = digest_of(b, strlen(b));
+    unsigned difference = 0;
+    for (int i = 0; i < DIGEST_BYTES; i++)
+        difference |= (unsigned)(x.bytes[i] ^ y.bytes[i]);
+    return difference == 0;
+}
+
+bool http_token_good(const struct http *h, const char *token)
+{
+    return !h->token || same_text(token, h->token);
+}
+
+static bool has_token(struct request *r)
+{
+    const struct http *h = r->http;
+    if (!h->token)
+        return true;
+    const char *head = request_head(r, "Authorization");
+    if (head && strncasecmp(head, "Bearer ", 7) == 0 && same_text(head + 7, h->token))
+        return true;
+    const char *cookie = MHD_lookup_connection_value(r->connection, MHD_COOKIE_KIND, "tilery");
+    return cookie && same_text(cookie, h->session);
+}
+
+/* The name in a Host header, without its port. */
+static void host_name(const char *host, char *out, size_t bytes)
+{
+    (void)snprintf(out, bytes, "%s", host);
+    char *end = out[0] == '[' ? strchr(out, ']') : strrchr(out, ':');
+    if (end && *end == ']')
+        end++;
+    if (end)
+        *end = '\0';
+}
+
+static bool host_known(const struct http *h, const char *host)
+{
+    char name[256];
+    if (!h->loopback)
+        return true;
+    if (!host)
+        return false;
+    host_name(host, name, sizeof name);
+    return strcasecmp(name, "localhost") == 0 || strncmp(name, "127.", 4) == 0 ||
+           strcmp(name, "[::1]") == 0;
+}
+
+static bool origin_known(struct request *r)
+{
+    const char *origin = request_head(r, "Origin"), *host = request_head(r, "Host");
+    if (!origin)
+        return true;
+    const char *name = strstr(origin, "://");
+    return name && host && strcasecmp(name + 3, host) == 0;
+}
+
+/* Matches a path; what stands for "{}" goes to `param`. */
+static bool route_match(const char *pattern, const char *path, char param[HTTP_PARAM_BYTES])
+{
+    while (*pattern) {
+        if (pattern[0] == '{') {
+            size_t bytes = strcspn(path, "/");
+            if (bytes == 0 || bytes >= HTTP_PARAM_BYTES)
+                return false;
+            memcpy(param, path, bytes);
+            param[bytes] = '\0';
+            path += bytes;
+            pattern += 2;
+        } else if (*pattern++ != *path++) {
+            return false;
+        }
+    }
+    return *path == '\0';
+}
+
+/* Finds the route, or answers why there is none. */
+static void find_route(struct request *r, const char *method)
+{
+    bool path_known = false;
+    for (size_t i = 0; i < sizeof routes / sizeof *routes; i++) {
+        if (!route_match(routes[i].path, r->path, r->param))
+            continue;
+        path_known = true;
+        bool head = strcmp(method, "HEAD") == 0 && strcmp(routes[i].method, "GET") == 0;
+        if (head || strcmp(routes[i].method, method) == 0) {
+            r->route = &routes[i];
+            return;
+        }
+    }
+    if (path_known)
+        request_problem(r, MHD_HTTP_METHOD_NOT_ALLOWED, "method-not-allowed",
+                        "%s is not possible here", method);
+    else
+        request_problem(r, MHD_HTTP_NOT_FOUND, "unknown-path",
+                        "no such path; see /api/v1/openapi.json");
+}
+
+static void check_request(struct request *r, const char *method)
+{
+    bool writes = strcmp(method, "GET") != 0 && strcmp(method, "HEAD") != 0;
+    if (!host_known(r->http, request_head(r, "Host"))) {
+        request_problem(r, MHD_HTTP_MISDIRECTED_REQUEST, "unknown-host",
+                        "this master answers on loopback names only");
+        return;
+    }
+    if (writes && !origin_known(r)) {
+        request_problem(r, MHD_HTTP_FORBIDDEN, "foreign-origin",
+                        "requests of other sites are refused");
+        return;
+    }
+    find_route(r, method);
+    if (r->route && !r->route->open && !has_token(r)) {
+        r->route = NULL;
+        request_problem(r, MHD_HTTP_UNAUTHORIZED, "bad-token",
+                        "this farm asks for a token; compare it with the master's --token-file");
+    }
+}
+
+/* --- Requests ----------------------------------------------------------- */
+
+static struct request *request_new(struct http *h, struct MHD_Connection *c, const char *path)
+{
+    struct request *r = mem_calloc(1, sizeof *r);
+    if (!r)
+        return NULL;
+    r->http = h;
+    r->farm = h->farm;
+    r->connection = c;
+    r->path = path;
+    buf_init(&r->body);
+    r->next = h->requests;
+    if (r->next)
+        r->next->previous = r;
+    h->requests = r;
+    h->counters.requests++;
+    return r;
+}
+
+static void request_free(struct request *r)
+{
+    if (r->previous)
+        r->previous->next = r->next;
+    else
+        r->http->requests = r->next;
+    if (r->next)
+        r->next->previous = r->previous;
+    if (r->later)
+        r->later->request = NULL;
+    r->http->body_bytes -= r->body_counted;
+    if (r->response)
+        MHD_destroy_response(r->response);
+    buf_release(&r->body);
+    mem_free(r);
+}
+
+static void take_body(struct request *r, const char *data, size_t bytes)
+{
+    if (r->answered)
+        return; /* refused: the rest is read and dropped */
+    if (r->body.bytes + bytes > r->route->body_max) {
+        request_problem(r, MHD_HTTP_CONTENT_TOO_LARGE, "too-large",
+                        "the body is over %" PRIu64 " bytes", r->route->body_max);
+        return;
+    }
+    if (r->http->body_bytes + bytes > HTTP_UPLOAD_BYTES_MAX) {
+        request_problem(r, MHD_HTTP_SERVICE_UNAVAILABLE, "busy", "too many uploads at once");
+        return;
+    }
+    buf_put(&r->body, data, bytes);
+    r->http->body_bytes += bytes;
+    r->body_counted += bytes;
+    if (buf_status(&r->body) != ERR_OK)
+        request_error(r, ERR_NOMEM);
+}
+
+static enum MHD_Result queue_answer(struct request *r)
+{
+    if (!r->response) {
+        /* Out of memory even for the problem: end the connection. */
+        return MHD_NO;
+    }
+    return MHD_queue_response(r->connection, r->status, r->response);
+}
+
+static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const char *path,
+                                  const char *method, const char *version, const char *data,
+                                  size_t *bytes, void **request)
+{
+    (void)version;
+    struct http *h = ctx;
+    struct request *r = *request;
+    if (!r) {
+        r = request_new(h, c, path);
+        *request = r;
+        if (!r)
+            return MHD_NO;
+        check_request(r, method);
+        /* An early refusal is sent when the body was read, so that the client reads it. */
+        return MHD_YES;
+    }
+    r->path = path;
+    if (*bytes > 0) {
+        if (r->route)
+            take_body(r, data, *bytes);
+        *bytes = 0;
+        return MHD_YES;
+    }
+    if (!r->answered && !r->handled) {
+        r->handled = true;
+        r->route->handle(r);
+        if (r->waiting)
+            return MHD_YES;
+    }
+    return r->answered ? queue_answer(r) : MHD_YES;
+}
+
+static void on_completed(void *ctx, struct MHD_Connection *c, void **request,
+                         enum MHD_RequestTerminationCode code)
+{
+    (void)ctx;
+    (void)c;
+    (void)code;
+    if (*request)
+        request_free(*request);
+    *request = NULL;
+}
+
+/* --- Start and stop ------------------------------------------------------ */
+
+/* "HOST:PORT" or "[v6]:PORT" into its two parts. */
+static bool split_address(const char *text, char *host, size_t host_bytes, char *port,
+                          size_t port_bytes)
+{
+    const char *colon = strrchr(text, ':');
+    if (!colon || colon == text || !colon[1])
+        return false;
+    const char *begin = text[0] == '[' ? text + 1 : text;
+    const char *end = text[0] == '[' ? colon - 1 : colon;
+    if (end <= begin || (text[0] == '[' && *end != ']') || (size_t)(end - begin) >= host_bytes ||
+        strlen(colon + 1) >= port_bytes || strspn(colon + 1, "0123456789") != strlen(colon + 1))
+        return false;
+    memcpy(host, begin, (size_t)(end - begin));
+    host[end - begin] = '\0';
+    (void)snprintf(port, port_bytes, "%s", colon + 1);
+    return true;
+}
+
+static enum err bind_socket(struct http *h, const struct addrinfo *at, int *out)
+{
+    int fd = socket(at->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    if (fd < 0)
+        return err_from_errno(errno);
+    int on = 1;
+    (void)setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    struct sockaddr_storage bound;
+    socklen_t bytes = sizeof bound;
+    char host[64], port[16];
+    if (bind(fd, at->ai_addr, at->ai_addrlen) != 0 || listen(fd, 512) != 0 ||
+        getsockname(fd, (struct sockaddr *)&bound, &bytes) != 0 ||
+        getnameinfo((struct sockaddr *)&bound, bytes, host, sizeof host, port, sizeof port,
+                    NI_NUMERICHOST | NI_NUMERICSERV) != 0) {
+        enum err e = errno == EACCES ? ERR_ADDRESS : err_from_errno(errno);
+        (void)close(fd);
+        return e;
+    }
+    bool v6 = at->ai_family == AF_INET6;
+    (void)snprintf(h->address, sizeof h->address, v6 ? "[%.45s]:%s" : "%.45s:%s", host, port);
+    h->loopback = strncmp(host, "127.", 4) == 0 || strcmp(host, "::1") == 0;
+    *out = fd;
+    return ERR_OK;
+}
+
+static enum err listen_on(struct http *h, const char *addr_port, int *fd)
+{
+    char host[64], port[8];
+    if (!split_address(addr_port, host, sizeof host, port, sizeof port))
+        return ERR_USAGE;
+    struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE}, *found = NULL;
+    if (getaddrinfo(host, port, &hints, &found) != 0)
+        return ERR_ADDRESS;
+    enum err e = bind_socket(h, found, fd);
+    freeaddrinfo(found);
+    return e;
+}
+
+static enum err start_daemon(struct http *h, int fd)
+{
+    h->daemon =
+        MHD_start_daemon(MHD_USE_EPOLL | MHD_ALLOW_SUSPEND_RESUME, 0, NULL, NULL, on_request, h,
+                         MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_NOTIFY_COMPLETED, on_completed, h,
+                         MHD_OPTION_CONNECTION_LIMIT, (unsigned)HTTP_CONNECTIONS_MAX,
+                         MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)HTTP_IDLE_S,
+                         MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)(64 * 1024), MHD_OPTION_END);
+    const union MHD_DaemonInfo *info =
+        h->daemon ? MHD_get_daemon_info(h->daemon, MHD_DAEMON_INFO_EPOLL_FD) : NULL;
+    if (!info || uv_poll_init(h->farm->loop, &h->poll, info->epoll_fd) != 0)
+        return ERR_NOMEM;
+    (void)uv_timer_init(h->farm->loop, &h->timer);
+    h->poll.data = h;
+    h->timer.data = h;
+    (void)uv_timer_init(h->farm->loop, &h->tick);
+    h->tick.data = h;
+    (void)uv_timer_start(&h->tick, on_tick, HTTP_TICK_MS, HTTP_TICK_MS);
+    h->handles_open = 3;
+    (void)uv_poll_start(&h->poll, UV_READABLE, on_poll);
+    return ERR_OK;
+}
+
+static void make_session(struct http *h, const char *token)
+{
+    char *text = mem_sprintf("tilery session %" PRIu64 " %s", h->farm->id, token);
+    digest d = digest_of(text ? text : "", text ? strlen(text) : 0);
+    digest_to_hex(&d, h->session);
+    mem_free(text);
+}
+
+enum err http_start(struct farm *f, const char *addr_port, const char *token, struct http **out)
+{
+    struct http *h = mem_calloc(1, sizeof *h);
+    int fd = -1;
+    if (!h)
+        return ERR_NOMEM;
+    h->farm = f;
+    h->token = token;
+    if (token)
+        make_session(h, token);
+    enum err e = listen_on(h, addr_port, &fd);
+    if (e != ERR_OK) {
+        log_error("master", "cannot listen for HTTP address=%s error=\"%s\"", addr_port,
+                  e == ERR_USAGE ? "not an ADDRESS:PORT" : err_text(e));
+        mem_free(h);
+        return e;
+    }
+    e = start_daemon(h, fd);
+    if (e != ERR_OK) {
+        if (h->daemon)
+            MHD_stop_daemon(h->daemon);
+        else
+            (void)close(fd);
+        mem_free(h);
+        return e;
+    }
+    events_on_new(f->events, http_streams_wake, h);
+    *out = h;
+    return ERR_OK;
+}
+
+const char *http_address(const struct http *h)
+{
+    return h->address;
+}
+
+static void on_closed(uv_handle_t *handle)
+{
+    struct http *h = handle->data;
+    if (--h->handles_open == 0)
+        mem_free(h);
+}
+
+void http_stop(struct http *h)
+{
+    if (!h)
+        return;
+    h->stopping = true;
+    events_on_new(h->farm->events, NULL, NULL);
+    http_streams_close(h);
+    for (struct request *r = h->requests; r; r = r->next)
+        if (r->waiting && !r->answered)
+            request_problem(r, MHD_HTTP_SERVICE_UNAVAILABLE, "stopping", "the master stops");
+    (void)MHD_run(h->daemon);
+    MHD_stop_daemon(h->daemon);
+    uv_close((uv_handle_t *)&h->poll, on_closed);
+    uv_close((uv_handle_t *)&h->timer, on_closed);
+    uv_close((uv_handle_t *)&h->tick, on_closed);
+}

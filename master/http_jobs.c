@@ -1,0 +1,569 @@
+/* Jobs over HTTP: submit, list, report, change, picture. See http.h. */
+#include <inttypes.h>
+#include <microhttpd.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "common/mem.h"
+#include "master/http_impl.h"
+
+/* --- The report --------------------------------------------------------- */
+
+static void put_time(struct buf *b, const char *name, int64_t us)
+{
+    buf_printf(b, ",\"%s\":", name);
+    if (us)
+        json_put_number(b, (double)us / 1e6);
+    else
+        buf_printf(b, "null");
+}
+
+static void put_number(struct buf *b, const char *name, double v, bool known)
+{
+    buf_printf(b, "\"%s\":", name);
+    if (known)
+        json_put_number(b, v);
+    else
+        buf_printf(b, "null");
+}
+
+static void put_left(struct buf *b, const struct sched_job_info *info, bool known)
+{
+    if (known && info->left_known)
+        buf_printf(b, ",\"left_s\":[%.3f,%.3f]", info->left_low_s, info->left_high_s);
+    else
+        buf_printf(b, ",\"left_s\":null");
+}
+
+static void put_samples(struct buf *b, const struct job *job)
+{
+    const struct job_stats *s = &job->rec.stats;
+    const struct job_totals *t = &job->rec.totals;
+    bool done = job->rec.state == JOB_STATE_DONE;
+    buf_printf(b, ",\"width\":%" PRIu32 ",\"height\":%" PRIu32, job->spec.width, job->spec.height);
+    if (done)
+        buf_printf(b, ",\"spp_min\":%" PRIu64 ",\"spp_mean\":%.17g,\"spp_max\":%" PRIu64,
+                   s->spp_min, s->spp_mean, s->spp_max);
+    else
+        buf_printf(b, ",\"spp_min\":null,\"spp_mean\":null,\"spp_max\":null");
+    buf_printf(b, ",\"samples\":%" PRIu64 ",\"rays\":%" PRIu64 ",\"nonfinite_samples\":%" PRIu64,
+               t->samples, t->rays, t->nonfinite);
+    if (t->nonfinite > 0 && t->nonfinite_pixel != UINT64_MAX)
+        buf_printf(
+            b, ",\"nonfinite_first\":{\"x\":%" PRIu64 ",\"y\":%" PRIu64 ",\"sample\":%" PRIu64 "}",
+            t->nonfinite_pixel % job->spec.width, t->nonfinite_pixel / job->spec.width,
+            t->nonfinite_sample);
+    else
+        buf_printf(b, ",\"nonfinite_first\":null");
+    char hex[DIGEST_HEX_BYTES];
+    digest_to_hex(&job->rec.image, hex);
+    if (job->rec.has_image)
+        buf_printf(b, ",\"image_sha256\":\"%s\"", hex);
+    else
+        buf_printf(b, ",\"image_sha256\":null");
+}
+
+static void put_seconds(struct buf *b, const struct job *job)
+{
+    const struct job_stats *s = &job->rec.stats;
+    bool done = job->rec.state == JOB_STATE_DONE;
+    double total = job_state_ended(job->rec.state) ? s->total_s
+                   : job->rec.started_us ? (double)(farm_wall_us() - job->rec.started_us) / 1e6
+                                         : 0;
+    buf_printf(b, ",\"seconds\":{");
+    put_number(b, "total", total, job->rec.started_us != 0);
+    buf_put_u8(b, ',');
+    put_number(b, "load", s->load_s, job->ready_us != 0 || done);
+    buf_put_u8(b, ',');
+    put_number(b, "build", s->build_s, job->ready_us != 0 || done);
+    buf_put_u8(b, ',');
+    put_number(b, "render", s->render_s, done);
+    buf_put_u8(b, ',');
+    put_number(b, "gather", s->gather_s, done);
+    buf_printf(b, "},\"core_seconds\":");
+    json_put_number(b, (double)job->rec.totals.render_us / 1e6);
+}
+
+static void put_farm(struct buf *b, const struct job *job, const struct sched_job_info *info)
+{
+    const struct job_stats *s = &job->rec.stats;
+    const struct job_totals *t = &job->rec.totals;
+    buf_printf(b,
+               ",\"workers\":%" PRIu64 ",\"units\":{\"total\":%" PRIu64 ",\"retried\":%" PRIu64
+               ",\"speculated\":%" PRIu64 ",\"rejected\":%" PRIu64 ",\"verified\":%" PRIu64 "}"
+               ",\"bytes\":{\"scene_sent\":%" PRIu64 ",\"results_received\":%" PRIu64 "}",
+               s->workers, t->units, s->retried + info->retried, s->speculated + info->speculated,
+               s->rejected + info->rejected, s->verified + info->verified, s->scene_sent_bytes,
+               t->result_bytes);
+    bool known = s->error_known != 0;
+    buf_printf(b, ",\"error\":{");
+    put_number(b, "relmse", s->relmse, known);
+    buf_put_u8(b, ',');
+    put_number(b, "relmse_low", s->relmse_low, known);
+    buf_put_u8(b, ',');
+    put_number(b, "relmse_high", s->relmse_high, known);
+    buf_put_u8(b, ',');
+    put_number(b, "mean_low", s->mean_low, known);
+    buf_put_u8(b, ',');
+    put_number(b, "mean_high", s->mean_high, known);
+    buf_put_u8(b, '}');
+}
+
+static void put_events(struct buf *b, const struct job *job)
+{
+    uint32_t kept = job->event_count < FARM_EVENTS_SHOWN ? job->event_count : FARM_EVENTS_SHOWN;
+    buf_printf(b, ",\"events\":[");
+    for (uint32_t i = 0; i < kept; i++) {
+        const struct job_event *event =
+            &job->events[(job->event_count - kept + i) % FARM_EVENTS_SHOWN];
+        buf_printf(b, "%s{\"t\":%.3f,\"text\":", i ? "," : "",
+                   (double)(event->at_us - job->rec.created_us) / 1e6);
+        json_put_text(b, event->text);
+        buf_put_u8(b, '}');
+    }
+    buf_put_u8(b, ']');
+}
+
+static void put_report(struct buf *b, struct farm *f, const struct job *job)
+{
+    struct sched_job_info info = {0};
+    bool known = job->in_sched && sched_job_info(f->sched, job->rec.id, &info);
+    buf_printf(b, "{\"job\":\"j%" PRIu64 "\",\"id\":\"j%" PRIu64 "\",\"name\":", job->rec.id,
+               job->rec.id);
+    json_put_text(b, job->rec.name);
+    buf_printf(b, ",\"state\":\"%s\",\"priority\":%" PRId32 ",\"note\":",
+               job_state_names[job->rec.state], job->rec.priority);
+    json_put_text(b, jobs_note(f, job));
+    buf_printf(b, ",\"rev\":%" PRIu64 ",\"done\":", job->rev);
+    json_put_number(b, jobs_done_share(f, job));
+    put_left(b, &info, known && !job_state_ended(job->rec.state));
+    put_time(b, "created", job->rec.created_us);
+    put_time(b, "started", job->rec.started_us);
+    put_time(b, "finished", job->rec.finished_us);
+    char hex[DIGEST_HEX_BYTES];
+    digest_to_hex(&job->rec.package, hex);
+    buf_printf(b, ",\"package\":\"%s\",\"spec\":%s", hex, job->rec.spec_json);
+    put_samples(b, job);
+    put_seconds(b, job);
+    put_farm(b, job, &info);
+    buf_printf(b, ",\"workers_now\":%" PRIu32, info.workers);
+    put_events(b, job);
+    buf_printf(b, "}\n");
+}
+
+static struct job *job_of(struct request *r)
+{
+    struct job *job = farm_job(r->farm, http_id(r->param, 'j'));
+    if (!job)
+        request_problem(r, MHD_HTTP_NOT_FOUND, "unknown-job", "no job \"%s\"", r->param);
+    return job;
+}
+
+static void reply_report(struct request *r, const struct job *job, unsigned status)
+{
+    char tag[32];
+    struct buf b;
+    buf_init(&b);
+    put_report(&b, r->farm, job);
+    request_reply(r, status, "application/json", &b);
+    (void)snprintf(tag, sizeof tag, "\"r%" PRIu64 "\"", job->rev);
+    request_header(r, "ETag", tag);
+}
+
+void http_get_job(struct request *r)
+{
+    struct job *job = job_of(r);
+    if (job)
+        reply_report(r, job, MHD_HTTP_OK);
+}
+
+/* --- The list ------------------------------------------------------------ */
+
+static void put_item(struct buf *b, struct farm *f, const struct job *job)
+{
+    struct sched_job_info info = {0};
+    bool known = job->in_sched && sched_job_info(f->sched, job->rec.id, &info);
+    buf_printf(b, "{\"id\":\"j%" PRIu64 "\",\"name\":", job->rec.id);
+    json_put_text(b, job->rec.name);
+    buf_printf(b, ",\"state\":\"%s\",\"done\":", job_state_names[job->rec.state]);
+    json_put_number(b, jobs_done_share(f, job));
+    buf_put_u8(b, ',');
+    put_number(b, "error", job->rec.stats.relmse, job->rec.stats.error_known != 0);
+    put_left(b, &info, known && !job_state_ended(job->rec.state));
+    buf_printf(b,
+               ",\"workers\":%" PRIu32 ",\"priority\":%" PRId32 ",\"age_s\":%.0f,\"rev\":%" PRIu64
+               ",\"note\":",
+               info.workers, job->rec.priority,
+               (double)(farm_wall_us() - job->rec.created_us) / 1e6, job->rev);
+    json_put_text(b, jobs_note(f, job));
+    buf_put_u8(b, '}');
+}
+
+/* The states of "a,b" as bits; 0 when one is unknown. */
+static unsigned parse_states(const char *text)
+{
+    unsigned states = 0;
+    while (text) {
+        size_t bytes = strcspn(text, ",");
+        unsigned found = 0;
+        for (unsigned i = 0; i < JOB_STATE_COUNT; i++)
+            if (strlen(job_state_names[i]) == bytes && memcmp(job_state_names[i], text, bytes) == 0)
+                found = 1U << i;
+        if (!found)
+            return 0;
+        states |= found;
+        text = text[bytes] ? text + bytes + 1 : NULL;
+    }
+    return states;
+}
+
+/* A number in [1, high] from a query argument. */
+static bool parse_count(const char *text, uint64_t high, uint64_t *out)
+{
+    uint64_t v = 0;
+    if (!*text)
+        return false;
+    for (; *text; text++) {
+        if (*text < '0' || *text > '9' || v > high)
+            return false;
+        v = v * 10 + (uint64_t)(*text - '0');
+    }
+    *out = v;
+    return v >= 1 && v <= high;
+}
+
+void http_get_jobs(struct request *r)
+{
+    const char *state = request_query(r, "state"), *limit_text = request_query(r, "limit");
+    const char *cursor_text = request_query(r, "cursor");
+    unsigned states = state ? parse_states(state) : ~0U;
+    uint64_t limit = HTTP_LIST_DEFAULT, cursor = UINT64_MAX;
+    if (states == 0 || (limit_text && !parse_count(limit_text, HTTP_LIST_MAX, &limit)) ||
+        (cursor_text && !parse_count(cursor_text, UINT64_MAX / 100, &cursor))) {
+        request_problem(r, MHD_HTTP_BAD_REQUEST, "bad-query",
+                        "state is a list of job states, limit 1 to %d, cursor as given by next",
+                        (int)HTTP_LIST_MAX);
+        return;
+    }
+    struct buf b;
+    buf_init(&b);
+    buf_printf(&b, "{\"items\":[");
+    uint64_t count = 0, last = 0;
+    size_t i = r->farm->job_count;
+    while (i > 0 && count < limit) { /* newest first */
+        const struct job *job = r->farm->jobs[--i];
+        if (job->rec.id >= cursor || !(states >> job->rec.state & 1))
+            continue;
+        if (count++ > 0)
+            buf_put_u8(&b, ',');
+        put_item(&b, r->farm, job);
+        last = job->rec.id;
+    }
+    if (count == limit && i > 0)
+        buf_printf(&b, "],\"next\":\"%" PRIu64 "\"}\n", last);
+    else
+        buf_printf(&b, "],\"next\":null}\n");
+    request_reply(r, MHD_HTTP_OK, "application/json", &b);
+}
+
+/* --- Submitting ---------------------------------------------------------- */
+
+/* What a submission carries while its package is checked. */
+struct submission {
+    struct later *later;
+    char name[JOB_NAME_BYTES], key[128];
+    bool has_key;
+    struct job_spec spec;
+    digest package, body;
+    int32_t priority;
+    uint64_t job;
+};
+
+static void submit_stored(void *ctx, enum err e)
+{
+    struct submission *s = ctx;
+    struct request *r = request_of(s->later);
+    struct job *job = r ? farm_job(r->farm, s->job) : NULL;
+    if (r && e != ERR_OK) {
+        request_error(r, e);
+    } else if (job) {
+        char location[48];
+        struct buf b;
+        buf_init(&b);
+        put_report(&b, r->farm, job);
+        (void)snprintf(location, sizeof location, "/api/v1/jobs/j%" PRIu64, job->rec.id);
+        request_reply(r, MHD_HTTP_CREATED, "application/json", &b);
+        request_header(r, "Location", location);
+    } else if (r) {
+        request_error(r, ERR_CANCELLED);
+    }
+    mem_free(s);
+}
+
+static void reply_missing(struct request *r, const struct buf *missing)
+{
+    struct diag_list problems;
+    diag_init(&problems);
+    for (size_t at = 0; at + sizeof(digest) <= missing->bytes; at += sizeof(digest)) {
+        digest name;
+        char hex[DIGEST_HEX_BYTES];
+        memcpy(&name, missing->data + at, sizeof name);
+        digest_to_hex(&name, hex);
+        diag_add(&problems, DIAG_ERROR, (struct diag_place){.path = "$.package"}, "missing-chunk",
+                 "PUT it to /api/v1/chunks/SHA256", "no chunk %s", hex);
+    }
+    request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "missing-chunk",
+                     "the package is not here whole", &problems);
+    diag_release(&problems);
+}
+
+/* The package is whole: makes the job. False: answered. */
+static bool make_job(struct request *r, struct submission *s)
+{
+    struct job_request asked = {.name = s->name,
+                                .spec = &s->spec,
+                                .package = s->package,
+                                .priority = s->priority,
+                                .key = s->has_key ? s->key : NULL,
+                                .body = s->body};
+    struct job *job = NULL;
+    enum err e = jobs_submit(r->farm, &asked, submit_stored, s, &job);
+    if (e != ERR_OK) {
+        if (e == ERR_LIMIT)
+            request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "over-limit",
+                            "too many jobs, or too large a picture");
+        else
+            request_error(r, e);
+        return false;
+    }
+    s->job = job->rec.id;
+    return true;
+}
+
+static void package_checked(void *ctx, enum err e, struct buf *missing)
+{
+    struct submission *s = ctx;
+    struct request *r = s->later->request;
+    if (r && e == ERR_OK && missing->bytes == 0 && make_job(r, s))
+        return; /* submit_stored answers */
+    if (r && !r->answered) {
+        if (e == ERR_OK)
+            reply_missing(r, missing);
+        else if (e == ERR_CORRUPT || e == ERR_LIMIT || e == ERR_VERSION)
+            request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-package",
+                            "the chunk named is no package: %s", err_text(e));
+        else
+            request_error(r, e);
+    }
+    (void)request_of(s->later);
+    mem_free(s);
+}
+
+/* The members of the body; false: problems were added. */
+static bool read_submission(struct request *r, struct json_get *g, struct submission *s)
+{
+    const char *name = "", *package = NULL;
+    double priority = 0;
+    (void)json_get_text(g, g->root, "name", &name);
+    (void)json_get_number(g, g->root, "priority", -1000000, 1000000, &priority);
+    s->priority = (int32_t)priority;
+    (void)snprintf(s->name, sizeof s->name, "%s", name);
+    const struct json *p = json_get_required(g, g->root, "package");
+    if (json_value_text(g, p, false, &package) && !digest_from_hex(package, &s->package))
+        json_get_problem(g, DIAG_ERROR, p, "bad-digest", NULL,
+                         "\"%.80s\" is not 64 hexadecimal digits", package);
+    const struct json *spec = json_get_required(g, g->root, "spec");
+    if (json_get_is(g, spec, JSON_OBJECT)) {
+        char *text = http_json_text(spec);
+        if (!text || job_spec_from_json(text, strlen(text), &s->spec, g->problems) == ERR_NOMEM)
+            json_get_problem(g, DIAG_ERROR, spec, "out-of-memory", NULL, "out of memory");
+        mem_free(text);
+    }
+    const char *key = request_head(r, "Idempotency-Key");
+    if (key && (strlen(key) == 0 || strlen(key) >= sizeof s->key))
+        json_get_problem(g, DIAG_ERROR, g->root, "bad-key", NULL,
+                         "Idempotency-Key must have 1 to %zu characters", sizeof s->key - 1);
+    else if (key)
+        (void)snprintf(s->key, sizeof s->key, "%s", key);
+    s->has_key = key != NULL;
+    s->body = digest_of(r->body.data, r->body.bytes);
+    return g->problems->error_count == 0;
+}
+
+/* True when the key was used before: answered. */
+static bool answer_by_key(struct request *r, const struct submission *s)
+{
+    bool conflict = false;
+    struct job *job = s->has_key ? jobs_by_key(r->farm, s->key, &s->body, &conflict) : NULL;
+    if (conflict)
+        request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "key-reused",
+                        "this Idempotency-Key came with another body");
+    else if (job)
+        reply_report(r, job, MHD_HTTP_CREATED);
+    return conflict || job;
+}
+
+void http_post_jobs(struct request *r)
+{
+    static const char *const keys[] = {"name", "package", "spec", "priority"};
+    struct json_get g;
+    struct diag_list problems;
+    if (!request_json(r, &g, &problems, keys, sizeof keys / sizeof *keys))
+        return;
+    struct submission *s = mem_calloc(1, sizeof *s);
+    bool good = s && read_submission(r, &g, s);
+    json_get_close(&g);
+    if (!s)
+        request_error(r, ERR_NOMEM);
+    else if (!good)
+        request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-job", "the job cannot be made",
+                         &problems);
+    diag_release(&problems);
+    if (!good || answer_by_key(r, s)) {
+        mem_free(s);
+        return;
+    }
+    s->later = request_later(r);
+    if (!s->later) {
+        mem_free(s);
+        return;
+    }
+    enum err e = chunks_check_package(r->farm->chunks, &s->package, package_checked, s);
+    if (e == ERR_OK) {
+        request_wait(r);
+        return;
+    }
+    struct buf missing;
+    buf_init(&missing);
+    buf_put(&missing, &s->package, sizeof s->package);
+    if (e == ERR_NOT_FOUND)
+        reply_missing(r, &missing);
+    else
+        request_error(r, e);
+    buf_release(&missing);
+    (void)request_of(s->later);
+    mem_free(s);
+}
+
+/* --- Changing ------------------------------------------------------------ */
+
+static void change_stored(void *ctx, enum err e)
+{
+    struct request *r = request_of(ctx);
+    if (!r)
+        return;
+    struct job *job = farm_job(r->farm, http_id(r->param, 'j'));
+    if (e != ERR_OK || !job)
+        request_error(r, e != ERR_OK ? e : ERR_CANCELLED);
+    else
+        reply_report(r, job, MHD_HTTP_OK);
+}
+
+/* Carries out one change; answers at once when it cannot be. */
+static void change(struct request *r, struct job *job, int state, bool has_priority,
+                   int32_t priority)
+{
+    struct later *later = request_later(r);
+    if (!later)
+        return;
+    enum err e = has_priority
+                     ? jobs_set_priority(r->farm, job, priority, change_stored, later)
+                     : jobs_set_state(r->farm, job, (enum job_state)state, change_stored, later);
+    if (e == ERR_OK) {
+        request_wait(r);
+        return;
+    }
+    (void)request_of(later);
+    if (e == ERR_STATE)
+        request_problem(r, MHD_HTTP_CONFLICT, "wrong-state", "not possible: the job is %s",
+                        job_state_names[job->rec.state]);
+    else
+        request_error(r, e);
+}
+
+void http_patch_job(struct request *r)
+{
+    static const char *const keys[] = {"state", "priority"};
+    struct job *job = job_of(r);
+    struct json_get g;
+    struct diag_list problems;
+    if (!job || !request_json(r, &g, &problems, keys, 2))
+        return;
+    int state = -1;
+    double priority = 0;
+    bool has_priority = json_get_member(g.root, "priority") != NULL;
+    (void)json_get_choice(&g, g.root, "state", job_state_names, JOB_STATE_COUNT, &state);
+    (void)json_get_number(&g, g.root, "priority", -1000000, 1000000, &priority);
+    if (problems.error_count == 0 && (state >= 0) == has_priority)
+        json_get_problem(&g, DIAG_ERROR, g.root, "bad-change", NULL,
+                         "must have one of \"state\" and \"priority\"");
+    const char *tag = request_head(r, "If-Match");
+    char current[32];
+    (void)snprintf(current, sizeof current, "\"r%" PRIu64 "\"", job->rev);
+    if (problems.error_count > 0)
+        request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-change", "nothing was changed",
+                         &problems);
+    else if (tag && strcmp(tag, current) != 0 && strcmp(tag, "*") != 0)
+        request_problem(r, MHD_HTTP_PRECONDITION_FAILED, "stale",
+                        "the job has changed; read it again");
+    else
+        change(r, job, state, has_priority, (int32_t)priority);
+    json_get_close(&g);
+    diag_release(&problems);
+}
+
+/* --- Pictures ------------------------------------------------------------ */
+
+static void picture_made(void *ctx, enum err e, struct buf *file)
+{
+    struct request *r = request_of(ctx);
+    if (!r)
+        return;
+    if (e != ERR_OK) {
+        request_error(r, e);
+        return;
+    }
+    struct job *job = farm_job(r->farm, http_id(r->param, 'j'));
+    bool exr = strstr(r->route->path, ".exr") != NULL;
+    request_reply(r, MHD_HTTP_OK, exr ? "image/x-exr" : "image/png", file);
+    if (job && job->rec.has_image) {
+        char hex[DIGEST_HEX_BYTES], tag[DIGEST_HEX_BYTES + 16];
+        digest_to_hex(&job->rec.image, hex);
+        (void)snprintf(tag, sizeof tag, "\"sha256-%s\"", hex);
+        request_header(r, "ETag", tag);
+    }
+}
+
+static void get_picture(struct request *r, enum picture_format format)
+{
+    struct job *job = job_of(r);
+    if (!job)
+        return;
+    const char *partial = request_query(r, "partial");
+    if (job->rec.state != JOB_STATE_DONE && !(partial && strcmp(partial, "1") == 0)) {
+        request_problem(r, MHD_HTTP_CONFLICT, "unfinished",
+                        "the job is %s, %.1f %% done; ?partial=1 gives what there is",
+                        job_state_names[job->rec.state], 100 * jobs_done_share(r->farm, job));
+        return;
+    }
+    struct later *later = request_later(r);
+    if (!later)
+        return;
+    enum err e = job_picture(r->farm, job, format, picture_made, later);
+    if (e == ERR_OK) {
+        request_wait(r);
+        return;
+    }
+    (void)request_of(later);
+    request_error(r, e);
+}
+
+void http_get_exr(struct request *r)
+{
+    get_picture(r, PICTURE_EXR);
+}
+
+void http_get_png(struct request *r)
+{
+    get_picture(r, PICTURE_PNG);
+}

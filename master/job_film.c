@@ -1,0 +1,408 @@
+/* A job's film: see farm.h. What takes long runs on the pool or the store thread, with
+ * film_read_begin held; the loop goes on meanwhile. */
+#include <inttypes.h>
+#include <string.h>
+
+#include "common/exr_file.h"
+#include "common/log.h"
+#include "common/mem.h"
+#include "common/png_file.h"
+#include "master/farm.h"
+
+#define FILM_CACHE_BYTES (UINT64_C(512) << 20) /* of finished jobs' films kept in memory */
+
+enum err job_need_grid(struct job *job)
+{
+    if (job->grid_ready)
+        return ERR_OK;
+    TL_TRY(grid_init(&job->grid, &job->spec));
+    job->grid_ready = true;
+    return ERR_OK;
+}
+
+enum err job_need_film(struct job *job)
+{
+    if (job->film)
+        return ERR_OK;
+    TL_ASSERT(!job->has_stored);
+    TL_TRY(job_need_grid(job));
+    return film_new(&job->grid, &job->blocks, &job->film);
+}
+
+enum err job_load_film(struct farm *f, struct job *job)
+{
+    TL_ASSERT(!job->film);
+    TL_TRY(job_need_grid(job));
+    struct checkpoint at;
+    struct job_totals before = job->rec.totals;
+    job->rec.totals = (struct job_totals){.nonfinite_pixel = UINT64_MAX};
+    enum err e = store_load_film(f->store, job->rec.id, &job->grid, &job->blocks, results_replay,
+                                 job, &job->film, &at, &job->sequence);
+    if (e != ERR_OK) {
+        job->rec.totals = before;
+        return e;
+    }
+    /* The replay has added what lies behind the checkpoint. */
+    struct job_totals *t = &job->rec.totals;
+    t->units += at.totals.units;
+    t->samples += at.totals.samples;
+    t->rays += at.totals.rays;
+    t->render_us += at.totals.render_us;
+    t->nonfinite += at.totals.nonfinite;
+    t->result_bytes += at.totals.result_bytes;
+    if (at.totals.nonfinite_pixel != UINT64_MAX) {
+        t->nonfinite_pixel = at.totals.nonfinite_pixel;
+        t->nonfinite_sample = at.totals.nonfinite_sample;
+    }
+    job->settled = job->sequence;
+    job->has_stored = true;
+    return ERR_OK;
+}
+
+static void film_hold(struct job *job)
+{
+    film_read_begin(job->film);
+    job->film_users++;
+}
+
+static void film_let_go(struct farm *f, struct job *job)
+{
+    TL_ASSERT(job->film_users > 0);
+    film_read_end(job->film);
+    job->film_users--;
+    job->film_used_at = (uint64_t)farm_now_ms(f);
+}
+
+/* --- Checkpoint --------------------------------------------------------- */
+
+/* A job as the context of what outlives the call; the job may not. */
+struct job_ref {
+    struct farm *farm;
+    uint64_t job;
+    uint64_t journal_bytes;
+};
+
+static void checkpoint_done(void *ctx, enum err e)
+{
+    struct job_ref *ref = ctx;
+    struct farm *f = ref->farm;
+    struct job *job = farm_job(f, ref->job);
+    TL_ASSERT(job && job->checkpointing); /* film_users kept it */
+    film_let_go(f, job);
+    job->checkpointing = false;
+    if (e == ERR_OK) {
+        job->journal_bytes -= ref->journal_bytes;
+        job->final_stored = job_state_ended(job->rec.state) && job->in_store == 0;
+        log_debug("jobs", "checkpoint job=j%" PRIu64, job->rec.id);
+    } else if (!job_state_ended(job->rec.state)) {
+        jobs_disk_trouble(f, job, e);
+    }
+    mem_free(ref);
+    if (!f->stopping)
+        job_film_changed(f, job);
+}
+
+void job_checkpoint(struct farm *f, struct job *job)
+{
+    if (job->checkpointing || !job->film)
+        return;
+    struct job_ref *ref = mem_alloc(sizeof *ref);
+    struct checkpoint c = {.job = job->rec.id,
+                           .covered_sequence = job->settled,
+                           .totals = job->rec.totals,
+                           .stats = job->rec.stats};
+    if (!ref)
+        return; /* the next result tries again */
+    *ref = (struct job_ref){f, job->rec.id, job->journal_bytes};
+    film_hold(job);
+    if (store_put_checkpoint(f->store, &c, job->film, checkpoint_done, ref) != ERR_OK) {
+        film_let_go(f, job);
+        mem_free(ref);
+        return;
+    }
+    job->checkpointing = true;
+}
+
+/* --- Finishing ---------------------------------------------------------- */
+
+struct finish {
+    uv_work_t request;
+    struct farm *farm;
+    uint64_t job;
+    const struct film *film;
+    uint64_t pixels;
+    enum err result;
+    digest image;
+    struct film_error error;
+    uint64_t spp_min, spp_max;
+    double spp_mean;
+};
+
+static void finish_run(uv_work_t *request)
+{
+    struct finish *w = request->data;
+    size_t bytes = w->pixels * FILM_CHANNELS * sizeof(float);
+    float *rgb = mem_alloc_array(w->pixels, FILM_CHANNELS * sizeof(float));
+    if (!rgb) {
+        w->result = ERR_NOMEM;
+        return;
+    }
+    film_picture(w->film, rgb);
+    w->image = digest_of(rgb, bytes);
+    mem_free(rgb);
+    film_error_estimate(w->film, &w->error);
+    film_samples(w->film, &w->spp_min, &w->spp_mean, &w->spp_max);
+    w->result = ERR_OK;
+}
+
+static void fill_stats(struct job *job, const struct finish *w)
+{
+    struct job_stats *s = &job->rec.stats;
+    s->spp_min = w->spp_min;
+    s->spp_mean = w->spp_mean;
+    s->spp_max = w->spp_max;
+    s->error_known = w->error.known;
+    s->relmse = w->error.relmse;
+    s->relmse_low = w->error.relmse_low;
+    s->relmse_high = w->error.relmse_high;
+    s->mean_low = w->error.mean_low;
+    s->mean_high = w->error.mean_high;
+    int64_t begin = job->rec.started_us, ready = job->ready_us ? job->ready_us : begin;
+    int64_t last = job->last_result_us ? job->last_result_us : job->rec.finished_us;
+    s->total_s = (double)(job->rec.finished_us - begin) / 1e6;
+    s->render_s = (double)(last - ready) / 1e6;
+    s->gather_s = (double)(job->rec.finished_us - last) / 1e6;
+}
+
+static void finish_after(uv_work_t *request, int status)
+{
+    struct finish *w = request->data;
+    struct farm *f = w->farm;
+    struct job *job = farm_job(f, w->job);
+    TL_ASSERT(job && job->finishing);
+    film_let_go(f, job);
+    job->finishing = false;
+    enum err e = status == 0 ? w->result : ERR_CANCELLED;
+    if (e == ERR_OK && !job_state_ended(job->rec.state)) {
+        job->rec.finished_us = farm_wall_us();
+        job->rec.image = w->image;
+        job->rec.has_image = true;
+        job->rec.state = JOB_STATE_DONE;
+        job->rec.note[0] = '\0';
+        job->done_share = 1;
+        fill_stats(job, w);
+        jobs_store_record(f, job);
+        log_info("jobs", "done job=j%" PRIu64 " seconds=%.3f", job->rec.id, job->rec.stats.total_s);
+        job_checkpoint(f, job);
+        job_films_evict(f);
+        f->admit_due = true;
+    } else if (e == ERR_NOMEM) {
+        jobs_fail(f, job, "out of memory while making the picture");
+    }
+    mem_free(w);
+}
+
+static void start_finish(struct farm *f, struct job *job)
+{
+    struct finish *w = mem_calloc(1, sizeof *w);
+    if (!w) {
+        jobs_fail(f, job, "out of memory while making the picture");
+        return;
+    }
+    *w = (struct finish){
+        .farm = f,
+        .job = job->rec.id,
+        .film = job->film,
+        .pixels = (uint64_t)job->spec.crop.width * job->spec.crop.height,
+    };
+    w->request.data = w;
+    film_hold(job);
+    job->finishing = true;
+    if (uv_queue_work(f->loop, &w->request, finish_run, finish_after) != 0) {
+        film_let_go(f, job);
+        job->finishing = false;
+        mem_free(w);
+        jobs_fail(f, job, "out of memory while making the picture");
+    }
+}
+
+void job_film_changed(struct farm *f, struct job *job)
+{
+    if (!job->film || f->stopping)
+        return;
+    bool ended = job_state_ended(job->rec.state);
+    if (!ended && job->sched_done && job->in_store == 0 && film_complete(job->film) &&
+        !job->finishing) {
+        start_finish(f, job);
+        return;
+    }
+    if (job->journal_bytes >= FARM_CHECKPOINT_BYTES ||
+        (ended && job->journal_bytes > 0 && job->in_store == 0))
+        job_checkpoint(f, job);
+}
+
+void job_films_evict(struct farm *f)
+{
+    uint64_t total = 0;
+    for (size_t i = 0; i < f->job_count; i++)
+        if (f->jobs[i]->film && job_state_ended(f->jobs[i]->rec.state))
+            total += film_bytes_of(&f->jobs[i]->spec);
+    while (total > FILM_CACHE_BYTES) {
+        struct job *oldest = NULL;
+        for (size_t i = 0; i < f->job_count; i++) {
+            struct job *job = f->jobs[i];
+            if (job->film && job->final_stored && job->film_users == 0 && job->in_store == 0 &&
+                !job->in_sched && (!oldest || job->film_used_at < oldest->film_used_at))
+                oldest = job;
+        }
+        if (!oldest)
+            return;
+        total -= film_bytes_of(&oldest->spec);
+        film_free(oldest->film);
+        oldest->film = NULL;
+        grid_release(&oldest->grid);
+        oldest->grid_ready = false;
+    }
+}
+
+/* --- Pictures ----------------------------------------------------------- */
+
+struct picture {
+    uv_work_t request;
+    struct farm *farm;
+    uint64_t job;
+    struct job_spec spec;
+    struct job_blocks blocks;
+    const struct film *film; /* the job's, or NULL: read from `path` */
+    char *path;
+    enum picture_format format;
+    char software[64], job_text[24], seed[24], image[DIGEST_HEX_BYTES];
+    char name[JOB_NAME_BYTES];
+    enum err result;
+    struct buf file;
+    picture_done *done;
+    void *ctx;
+};
+
+static enum err encode(struct picture *w, const float *rgb)
+{
+    const struct job_crop *crop = &w->spec.crop;
+    if (w->format == PICTURE_PNG)
+        return png_write_rgb(rgb, crop->width, crop->height, 1.0, &w->file);
+    struct exr_channel channels[] = {{"R", rgb, 3}, {"G", rgb + 1, 3}, {"B", rgb + 2, 3}};
+    struct exr_attribute attributes[] = {
+        {.name = "software", .type = EXR_TEXT, .text = w->software},
+        {.name = "tilery.job", .type = EXR_TEXT, .text = w->job_text},
+        {.name = "tilery.name", .type = EXR_TEXT, .text = w->name},
+        {.name = "tilery.seed", .type = EXR_TEXT, .text = w->seed},
+        {.name = "tilery.sha256", .type = EXR_TEXT, .text = w->image},
+        {.name = "tilery.spp", .type = EXR_INT, .number = (double)w->spec.spp},
+    };
+    size_t attribute_count = sizeof attributes / sizeof *attributes;
+    struct exr_picture picture = {
+        .width = w->spec.width,
+        .height = w->spec.height,
+        .x = crop->x,
+        .y = crop->y,
+        .data_width = crop->width,
+        .data_height = crop->height,
+        .channels = channels,
+        .channel_count = 3,
+        .attributes = attributes,
+        .attribute_count = w->spec.spp <= INT32_MAX ? attribute_count : attribute_count - 1,
+    };
+    return exr_write(&picture, &w->file);
+}
+
+static enum err draw(struct picture *w, const struct film *film)
+{
+    uint64_t pixels = (uint64_t)w->spec.crop.width * w->spec.crop.height;
+    float *rgb = mem_calloc(pixels, FILM_CHANNELS * sizeof(float));
+    if (!rgb)
+        return ERR_NOMEM;
+    if (film)
+        film_picture(film, rgb);
+    enum err e = encode(w, rgb);
+    mem_free(rgb);
+    return e;
+}
+
+static void picture_run(uv_work_t *request)
+{
+    struct picture *w = request->data;
+    if (w->film || !w->path) {
+        w->result = draw(w, w->film);
+        return;
+    }
+    struct grid grid;
+    struct film *film = NULL;
+    struct checkpoint at;
+    w->result = grid_init(&grid, &w->spec);
+    if (w->result != ERR_OK)
+        return;
+    w->result = checkpoint_read(w->path, w->job, &grid, &w->blocks, &at, &film);
+    if (w->result == ERR_OK)
+        w->result = draw(w, film);
+    film_free(film);
+    grid_release(&grid);
+}
+
+static void picture_after(uv_work_t *request, int status)
+{
+    struct picture *w = request->data;
+    struct job *job = farm_job(w->farm, w->job);
+    TL_ASSERT(job);
+    if (w->film)
+        film_let_go(w->farm, job);
+    else
+        job->film_users--;
+    w->done(w->ctx, status == 0 ? w->result : ERR_CANCELLED, &w->file);
+    buf_release(&w->file);
+    mem_free(w->path);
+    mem_free(w);
+}
+
+enum err job_picture(struct farm *f, struct job *job, enum picture_format format,
+                     picture_done *done, void *ctx)
+{
+    struct picture *w = mem_calloc(1, sizeof *w);
+    if (!w)
+        return ERR_NOMEM;
+    w->request.data = w;
+    w->farm = f;
+    w->job = job->rec.id;
+    w->spec = job->spec;
+    w->blocks = job->blocks;
+    w->format = format;
+    w->done = done;
+    w->ctx = ctx;
+    buf_init(&w->file);
+    (void)snprintf(w->software, sizeof w->software, "Tilery %s", TILERY_VERSION);
+    (void)snprintf(w->job_text, sizeof w->job_text, "j%" PRIu64, job->rec.id);
+    (void)snprintf(w->seed, sizeof w->seed, "%" PRIu64, job->spec.seed);
+    (void)snprintf(w->name, sizeof w->name, "%s", job->rec.name);
+    if (job->rec.has_image)
+        digest_to_hex(&job->rec.image, w->image);
+    if (!job->film && job->has_stored) {
+        w->path = store_film_path(f->store, job->rec.id);
+        if (!w->path) {
+            mem_free(w);
+            return ERR_NOMEM;
+        }
+    }
+    w->film = job->film;
+    if (w->film)
+        film_hold(job);
+    else
+        job->film_users++;
+    if (uv_queue_work(f->loop, &w->request, picture_run, picture_after) != 0) {
+        if (w->film)
+            film_let_go(f, job);
+        else
+            job->film_users--;
+        mem_free(w->path);
+        mem_free(w);
+        return ERR_NOMEM;
+    }
+    return ERR_OK;
+}

@@ -1,0 +1,724 @@
+/* The table of jobs: see farm.h.
+ *
+ *            first lease            every sum in, picture made
+ *   QUEUED -------------> RENDERING ---------------------------> DONE
+ *     |  ^                  |   |  ^
+ *     |  +---- resume ------+   |  | retry
+ *     +---> PAUSED <--- pause --+  +--- FAILED, CANCELLED <--- from any that has not ended
+ */
+#include <inttypes.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "common/json_put.h"
+#include "common/log.h"
+#include "common/mem.h"
+#include "master/farm.h"
+#include "proto/limits.h"
+
+enum {
+    JOBS_IN_SCHED_MAX = 1000, /* below the scheduler's job_count_max */
+    NEWS_MS = 500,            /* between two events of the same job that are not urgent */
+    KEYS_MAX = 10000,
+    SPEC_BYTES_MAX = sizeof((tilery_JobInfo *)0)->spec_json.bytes,
+};
+
+struct idempotency {
+    struct {
+        char *key; /* owned */
+        digest body;
+        uint64_t job;
+        int64_t at_us;
+    } * items;
+    size_t count, capacity;
+};
+
+/* --- Finding ------------------------------------------------------------ */
+
+struct job *farm_job(const struct farm *f, uint64_t id)
+{
+    size_t low = 0, high = f->job_count;
+    while (low < high) {
+        size_t middle = (low + high) / 2;
+        if (f->jobs[middle]->rec.id < id)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low < f->job_count && f->jobs[low]->rec.id == id ? f->jobs[low] : NULL;
+}
+
+struct job *jobs_by_key(const struct farm *f, const char *key, const digest *body, bool *conflict)
+{
+    *conflict = false;
+    for (size_t i = 0; i < f->keys->count; i++) {
+        if (strcmp(f->keys->items[i].key, key) != 0)
+            continue;
+        *conflict = !digest_equal(&f->keys->items[i].body, body);
+        return farm_job(f, f->keys->items[i].job);
+    }
+    return NULL;
+}
+
+/* Remembers a key; the oldest goes when there are too many. */
+static enum err note_key(struct farm *f, const char *key, const digest *body, uint64_t job,
+                         int64_t at_us)
+{
+    struct idempotency *k = f->keys;
+    if (k->count >= KEYS_MAX) {
+        mem_free(k->items[0].key);
+        memmove(k->items, k->items + 1, --k->count * sizeof *k->items);
+    }
+    if (!mem_grow((void **)&k->items, k->count, &k->capacity, sizeof *k->items))
+        return ERR_NOMEM;
+    char *copy = mem_strdup(key);
+    if (!copy)
+        return ERR_NOMEM;
+    k->items[k->count].key = copy;
+    k->items[k->count].body = *body;
+    k->items[k->count].job = job;
+    k->items[k->count].at_us = at_us;
+    k->count++;
+    return ERR_OK;
+}
+
+/* --- News --------------------------------------------------------------- */
+
+double jobs_done_share(const struct farm *f, const struct job *job)
+{
+    struct sched_job_info info;
+    if (job->rec.state == JOB_STATE_DONE)
+        return 1;
+    if (job->in_sched && sched_job_info(f->sched, job->rec.id, &info))
+        return info.done;
+    return job->done_share;
+}
+
+/* Jobs ahead of this one in the queue. */
+static size_t jobs_before(const struct farm *f, const struct job *job)
+{
+    size_t count = 0;
+    for (size_t i = 0; i < f->job_count; i++) {
+        const struct job *other = f->jobs[i];
+        if (other != job && !job_state_ended(other->rec.state) &&
+            other->rec.state != JOB_STATE_PAUSED &&
+            (other->rec.priority > job->rec.priority ||
+             (other->rec.priority == job->rec.priority && other->rec.id < job->rec.id)))
+            count++;
+    }
+    return count;
+}
+
+const char *jobs_note(const struct farm *f, const struct job *job)
+{
+    static char text[96]; /* the loop thread's alone */
+    struct sched_job_info info;
+    if (job->rec.note[0] || job_state_ended(job->rec.state))
+        return job->rec.note;
+    if (!job->in_sched || !sched_job_info(f->sched, job->rec.id, &info))
+        info.wait = SCHED_WAIT_BEHIND;
+    switch (info.wait) {
+    case SCHED_WAIT_WORKER:
+        return "no worker";
+    case SCHED_WAIT_SECOND_WORKER:
+        return "a check waits for a second worker";
+    case SCHED_WAIT_THIRD_WORKER:
+        return "two workers differ; waits for a third";
+    case SCHED_WAIT_BEHIND:
+        if (job->rec.state != JOB_STATE_QUEUED)
+            return "";
+        (void)snprintf(text, sizeof text, "behind %zu jobs", jobs_before(f, job));
+        return text;
+    case SCHED_WAIT_NOTHING:
+        break;
+    }
+    return "";
+}
+
+static void put_news(struct farm *f, struct job *job)
+{
+    struct sched_job_info info = {0};
+    bool known = job->in_sched && sched_job_info(f->sched, job->rec.id, &info);
+    struct buf b;
+    buf_init(&b);
+    buf_printf(&b, "{\"id\":\"j%" PRIu64 "\",\"rev\":%" PRIu64 ",\"state\":\"%s\",\"done\":",
+               job->rec.id, job->rev, job_state_names[job->rec.state]);
+    json_put_number(&b, jobs_done_share(f, job));
+    buf_printf(&b, ",\"left_s\":");
+    if (known && info.left_known && !job_state_ended(job->rec.state))
+        buf_printf(&b, "[%.3f,%.3f]", info.left_low_s, info.left_high_s);
+    else
+        buf_printf(&b, "null");
+    buf_printf(&b, ",\"relmse\":");
+    if (job->rec.stats.error_known)
+        json_put_number(&b, job->rec.stats.relmse);
+    else
+        buf_printf(&b, "null");
+    buf_printf(&b, ",\"workers\":%" PRIu32 ",\"rays_s\":%.0f,\"note\":", known ? info.workers : 0,
+               known && info.workers ? f->rays_s : 0.0);
+    json_put_text(&b, jobs_note(f, job));
+    buf_put_u8(&b, '}');
+    buf_put_u8(&b, '\0');
+    if (buf_status(&b) == ERR_OK)
+        events_add(f->events, job->rec.id, "job", (const char *)b.data);
+    buf_release(&b);
+    job->news_at_ms = farm_now_ms(f);
+    job->news_due = false;
+}
+
+void jobs_changed(struct farm *f, struct job *job, bool urgent)
+{
+    job->rev++;
+    if (urgent || farm_now_ms(f) - job->news_at_ms >= NEWS_MS)
+        put_news(f, job);
+    else
+        job->news_due = true;
+}
+
+void jobs_log(struct farm *f, struct job *job, const char *format, ...)
+{
+    char text[sizeof job->events[0].text];
+    va_list args;
+    va_start(args, format);
+    (void)vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    int64_t at_us = farm_wall_us();
+    struct job_event *event = &job->events[job->event_count++ % FARM_EVENTS_SHOWN];
+    event->at_us = at_us;
+    memcpy(event->text, text, sizeof text);
+    if (store_put_event(f->store, job->rec.id, at_us, text) != ERR_OK)
+        log_warn("jobs", "event not stored job=j%" PRIu64, job->rec.id);
+    struct buf b;
+    buf_init(&b);
+    buf_printf(&b, "{\"job\":\"j%" PRIu64 "\",\"line\":", job->rec.id);
+    json_put_text(&b, text);
+    buf_put_u8(&b, '}');
+    buf_put_u8(&b, '\0');
+    if (buf_status(&b) == ERR_OK)
+        events_add(f->events, job->rec.id, "log", (const char *)b.data);
+    buf_release(&b);
+}
+
+/* --- Storing ------------------------------------------------------------ */
+
+/* One row on its way to the disk, and who wants to know. */
+struct storing {
+    struct farm *farm;
+    uint64_t job;
+    store_done *done;
+    void *ctx;
+};
+
+static void record_stored(void *ctx, enum err e)
+{
+    struct storing *s = ctx;
+    struct job *job = farm_job(s->farm, s->job);
+    if (job && e != ERR_OK)
+        job->record_dirty = true;
+    if (job && !s->farm->stopping)
+        jobs_changed(s->farm, job, true);
+    if (s->done)
+        s->done(s->ctx, e);
+    mem_free(s);
+}
+
+static enum err store_record(struct farm *f, struct job *job, store_done *done, void *ctx)
+{
+    struct storing *s = mem_alloc(sizeof *s);
+    if (!s)
+        return ERR_NOMEM;
+    *s = (struct storing){f, job->rec.id, done, ctx};
+    enum err e = store_put_job(f->store, &job->rec, record_stored, s);
+    if (e != ERR_OK)
+        mem_free(s);
+    else
+        job->record_dirty = false;
+    return e;
+}
+
+void jobs_store_record(struct farm *f, struct job *job)
+{
+    if (store_record(f, job, NULL, NULL) != ERR_OK)
+        job->record_dirty = true;
+}
+
+/* --- Making ------------------------------------------------------------- */
+
+static void job_free(struct job *job)
+{
+    if (!job)
+        return;
+    mem_free(job->rec.spec_json);
+    film_free(job->film);
+    if (job->grid_ready)
+        grid_release(&job->grid);
+    mem_free(job->sched_memory);
+    mem_free(job->spot_hash);
+    mem_free(job->spot_worker);
+    mem_free(job->seen);
+    mem_free(job);
+}
+
+static enum err add_job(struct farm *f, struct job *job)
+{
+    if (!mem_grow((void **)&f->jobs, f->job_count, &f->job_capacity, sizeof *f->jobs))
+        return ERR_NOMEM;
+    f->jobs[f->job_count++] = job;
+    return ERR_OK;
+}
+
+static void remove_job(struct farm *f, size_t index)
+{
+    job_free(f->jobs[index]);
+    f->job_count--;
+    memmove(f->jobs + index, f->jobs + index + 1, (f->job_count - index) * sizeof *f->jobs);
+}
+
+enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *done, void *ctx,
+                     struct job **out)
+{
+    if (f->job_count >= FARM_JOBS_MAX ||
+        film_bytes_of(r->spec) / 1024 > (uint64_t)FARM_PICTURE_BYTES_MAX)
+        return ERR_LIMIT;
+    struct job *job = mem_calloc(1, sizeof *job);
+    if (!job)
+        return ERR_NOMEM;
+    job->rec = (struct job_record){.id = f->job_next,
+                                   .state = JOB_STATE_QUEUED,
+                                   .priority = r->priority,
+                                   .package = r->package,
+                                   .spec_json = job_spec_to_json(r->spec),
+                                   .created_us = farm_wall_us(),
+                                   .totals.nonfinite_pixel = UINT64_MAX};
+    (void)snprintf(job->rec.name, sizeof job->rec.name, "%s", r->name);
+    job->spec = *r->spec;
+    job->blocks = job_blocks_of(r->spec->spp);
+    enum err e = job->rec.spec_json ? ERR_OK : ERR_NOMEM;
+    if (e == ERR_OK && strlen(job->rec.spec_json) > SPEC_BYTES_MAX)
+        e = ERR_LIMIT;
+    if (e == ERR_OK)
+        e = add_job(f, job);
+    if (e != ERR_OK) {
+        job_free(job);
+        return e;
+    }
+    f->job_next++;
+    if (r->key) {
+        e = note_key(f, r->key, &r->body, job->rec.id, job->rec.created_us);
+        if (e == ERR_OK)
+            e = store_put_key(f->store, r->key, &r->body, job->rec.id, job->rec.created_us);
+    }
+    if (e == ERR_OK)
+        e = store_record(f, job, done, ctx);
+    if (e != ERR_OK) {
+        remove_job(f, f->job_count - 1);
+        return e;
+    }
+    log_info("jobs", "submitted job=j%" PRIu64 " size=%" PRIu32 "x%" PRIu32 " spp=%" PRIu64,
+             job->rec.id, job->spec.width, job->spec.height, job->spec.spp);
+    jobs_changed(f, job, true);
+    f->admit_due = true;
+    *out = job;
+    return ERR_OK;
+}
+
+/* --- Scheduler ---------------------------------------------------------- */
+
+struct done_list {
+    struct sched_done *items;
+    size_t count, capacity;
+    bool failed;
+};
+
+static void note_done(void *ctx, struct unit run)
+{
+    struct done_list *l = ctx;
+    if (!mem_grow((void **)&l->items, l->count, &l->capacity, sizeof *l->items)) {
+        l->failed = true;
+        return;
+    }
+    l->items[l->count++] =
+        (struct sched_done){run.cell_begin, run.cell_count, run.block, run.block + 1};
+}
+
+static enum err make_tables(struct job *job)
+{
+    TL_TRY(job_need_grid(job));
+    size_t bytes = sched_job_bytes(job->grid.cell_count, job->blocks.count);
+    if (bytes == 0)
+        return ERR_LIMIT;
+    uint64_t spots = (uint64_t)job->grid.cell_count * job->blocks.count;
+    job->sched_memory = mem_alloc_aligned(bytes, 64);
+    job->spot_hash = mem_calloc(spots, sizeof *job->spot_hash);
+    job->spot_worker = mem_calloc(spots, sizeof *job->spot_worker);
+    return job->sched_memory && job->spot_hash && job->spot_worker ? ERR_OK : ERR_NOMEM;
+}
+
+static void free_tables(struct job *job)
+{
+    mem_free(job->sched_memory);
+    mem_free(job->spot_hash);
+    mem_free(job->spot_worker);
+    job->sched_memory = NULL;
+    job->spot_hash = NULL;
+    job->spot_worker = NULL;
+}
+
+/* What one result frame can carry. */
+static uint32_t cells_per_result(const struct job_spec *spec)
+{
+    uint64_t side = spec->tile;
+    uint64_t cells = side * side < LIMIT_UNIT_PIXELS ? LIMIT_UNIT_PIXELS / (side * side) : 1;
+    return (uint32_t)cells;
+}
+
+static enum err admit(struct farm *f, struct job *job)
+{
+    struct done_list done = {0};
+    enum err e = make_tables(job);
+    if (e == ERR_OK && job->film)
+        film_each_present(job->film, note_done, &done);
+    if (e == ERR_OK && done.failed)
+        e = ERR_NOMEM;
+    if (e == ERR_OK) {
+        uint64_t pixels = (uint64_t)job->spec.crop.width * job->spec.crop.height;
+        double samples = (double)pixels * (double)job->spec.spp;
+        struct sched_event event = {
+            .type = SCHED_JOB_ADD,
+            .job = job->rec.id,
+            .add = {.cell_count = job->grid.cell_count,
+                    .block_count = job->blocks.count,
+                    .cell_cost = samples / ((double)job->grid.cell_count * job->blocks.count),
+                    .unit_cells_max = cells_per_result(&job->spec),
+                    .priority = job->rec.priority,
+                    .paused = job->rec.state == JOB_STATE_PAUSED,
+                    .memory = job->sched_memory,
+                    .done = done.items,
+                    .done_count = done.count}};
+        job->in_sched = true;
+        job->sched_done = false;
+        f->sched_jobs++;
+        farm_feed(f, &event);
+    }
+    mem_free(done.items);
+    if (e != ERR_OK)
+        free_tables(job);
+    return e;
+}
+
+void jobs_admit(struct farm *f)
+{
+    f->admit_due = false;
+    for (size_t i = 0; i < f->job_count && f->sched_jobs < JOBS_IN_SCHED_MAX; i++) {
+        struct job *job = f->jobs[i];
+        if (job->in_sched || job->in_store > 0 || job->finishing ||
+            (job->rec.state != JOB_STATE_QUEUED && job->rec.state != JOB_STATE_RENDERING))
+            continue;
+        if (job->film && film_complete(job->film)) {
+            job->sched_done = true;
+            job_film_changed(f, job);
+            continue;
+        }
+        enum err e = admit(f, job);
+        if (e != ERR_OK)
+            jobs_fail(f, job, err_text(e));
+    }
+}
+
+void jobs_leave_sched(struct farm *f, struct job *job)
+{
+    if (!job->in_sched)
+        return;
+    job->done_share = jobs_done_share(f, job);
+    struct sched_job_info info;
+    if (sched_job_info(f->sched, job->rec.id, &info)) {
+        job->rec.stats.retried += info.retried;
+        job->rec.stats.speculated += info.speculated;
+        job->rec.stats.rejected += info.rejected;
+        job->rec.stats.verified += info.verified;
+    }
+    job->in_sched = false;
+    f->sched_jobs--;
+    struct sched_event cancel = {.type = SCHED_JOB_CANCEL, .job = job->rec.id};
+    struct sched_event remove = {.type = SCHED_JOB_REMOVE, .job = job->rec.id};
+    farm_feed(f, &cancel);
+    farm_feed(f, &remove);
+    f->admit_due = true;
+}
+
+void jobs_left_sched(struct job *job)
+{
+    if (!job->in_sched)
+        free_tables(job);
+}
+
+void jobs_started(struct farm *f, struct job *job)
+{
+    if (job->rec.state != JOB_STATE_QUEUED)
+        return;
+    job->rec.state = JOB_STATE_RENDERING;
+    if (job->rec.started_us == 0)
+        job->rec.started_us = farm_wall_us();
+    jobs_store_record(f, job);
+    jobs_changed(f, job, true);
+}
+
+void jobs_sched_done(struct farm *f, struct job *job)
+{
+    jobs_leave_sched(f, job);
+    job->sched_done = true;
+    job_film_changed(f, job);
+}
+
+/* Ends a job other than by finishing it. */
+static void end_job(struct farm *f, struct job *job, enum job_state state, const char *note)
+{
+    jobs_leave_sched(f, job);
+    job->rec.state = state;
+    job->rec.finished_us = farm_wall_us();
+    (void)snprintf(job->rec.note, sizeof job->rec.note, "%s", note);
+    if (job->rec.started_us)
+        job->rec.stats.total_s = (double)(job->rec.finished_us - job->rec.started_us) / 1e6;
+    job_film_changed(f, job);
+}
+
+void jobs_fail(struct farm *f, struct job *job, const char *why)
+{
+    if (job_state_ended(job->rec.state))
+        return;
+    log_warn("jobs", "failed job=j%" PRIu64 " why=\"%s\"", job->rec.id, why);
+    end_job(f, job, JOB_STATE_FAILED, why);
+    jobs_log(f, job, "failed: %s", why);
+    jobs_store_record(f, job);
+    jobs_changed(f, job, true);
+}
+
+void jobs_sched_failed(struct farm *f, struct job *job, const char *why)
+{
+    jobs_fail(f, job, why);
+}
+
+void jobs_disk_trouble(struct farm *f, struct job *job, enum err e)
+{
+    if (job_state_ended(job->rec.state) || job->rec.state == JOB_STATE_PAUSED)
+        return;
+    jobs_leave_sched(f, job);
+    job->rec.state = JOB_STATE_PAUSED;
+    (void)snprintf(job->rec.note, sizeof job->rec.note,
+                   "master: %s; make room, then resume: what is stored is kept", err_text(e));
+    log_error("jobs", "paused job=j%" PRIu64 " error=\"%s\"", job->rec.id, err_text(e));
+    jobs_log(f, job, "paused: the master's disk: %s", err_text(e));
+    jobs_store_record(f, job);
+    jobs_changed(f, job, true);
+}
+
+/* --- What people ask for ------------------------------------------------ */
+
+static enum err ask_pause(struct farm *f, struct job *job)
+{
+    if (job->rec.state != JOB_STATE_QUEUED && job->rec.state != JOB_STATE_RENDERING)
+        return ERR_STATE;
+    struct sched_event event = {.type = SCHED_JOB_PAUSE, .job = job->rec.id};
+    if (job->in_sched)
+        farm_feed(f, &event);
+    job->rec.state = JOB_STATE_PAUSED;
+    return ERR_OK;
+}
+
+static enum err ask_queue(struct farm *f, struct job *job)
+{
+    if (job->rec.state == JOB_STATE_DONE || job->rec.state == JOB_STATE_QUEUED ||
+        job->rec.state == JOB_STATE_RENDERING)
+        return ERR_STATE;
+    /* A failed or cancelled job whose film left memory is read back at the next start only. */
+    if (job->has_stored && !job->film)
+        return ERR_STATE;
+    job->rec.state = JOB_STATE_QUEUED;
+    job->rec.note[0] = '\0';
+    job->rec.finished_us = 0;
+    job->final_stored = false;
+    struct sched_event event = {.type = SCHED_JOB_RESUME, .job = job->rec.id};
+    if (job->in_sched) {
+        job->rec.state = job->rec.totals.units ? JOB_STATE_RENDERING : JOB_STATE_QUEUED;
+        farm_feed(f, &event);
+    }
+    f->admit_due = true;
+    return ERR_OK;
+}
+
+enum err jobs_set_state(struct farm *f, struct job *job, enum job_state to, store_done *done,
+                        void *ctx)
+{
+    enum job_state from = job->rec.state;
+    if (to == JOB_STATE_CANCELLED) {
+        if (job_state_ended(from) || job->finishing)
+            return ERR_STATE;
+        end_job(f, job, JOB_STATE_CANCELLED, "");
+    } else if (to == JOB_STATE_PAUSED) {
+        TL_TRY(ask_pause(f, job));
+    } else if (to == JOB_STATE_QUEUED) {
+        TL_TRY(ask_queue(f, job));
+    } else {
+        return ERR_STATE;
+    }
+    jobs_log(f, job, "%s",
+             to == JOB_STATE_CANCELLED ? "cancelled"
+             : to == JOB_STATE_PAUSED  ? "paused"
+             : job_state_ended(from)   ? "to be tried again"
+                                       : "resumed");
+    return store_record(f, job, done, ctx);
+}
+
+enum err jobs_set_priority(struct farm *f, struct job *job, int32_t priority, store_done *done,
+                           void *ctx)
+{
+    if (job_state_ended(job->rec.state))
+        return ERR_STATE;
+    job->rec.priority = priority;
+    struct sched_event event = {
+        .type = SCHED_JOB_PRIORITY, .job = job->rec.id, .priority = priority};
+    if (job->in_sched)
+        farm_feed(f, &event);
+    return store_record(f, job, done, ctx);
+}
+
+/* --- Loading ------------------------------------------------------------ */
+
+static enum err load_job(void *ctx, struct job_record *record)
+{
+    struct farm *f = ctx;
+    struct job *job = mem_calloc(1, sizeof *job);
+    if (!job || f->job_count >= FARM_JOBS_MAX) {
+        mem_free(record->spec_json);
+        mem_free(job);
+        return job ? ERR_LIMIT : ERR_NOMEM;
+    }
+    job->rec = *record;
+    struct diag_list problems;
+    diag_init(&problems);
+    enum err e =
+        job_spec_from_json(record->spec_json, strlen(record->spec_json), &job->spec, &problems);
+    diag_release(&problems);
+    if (e != ERR_OK) {
+        log_error("jobs", "unreadable, skipped job=j%" PRIu64 " error=%s", record->id, err_name(e));
+        f->job_next = record->id + 1;
+        job_free(job);
+        return e == ERR_NOMEM ? e : ERR_OK;
+    }
+    job->blocks = job_blocks_of(job->spec.spp);
+    e = add_job(f, job);
+    if (e != ERR_OK) {
+        job_free(job);
+        return e;
+    }
+    f->job_next = record->id + 1;
+    return ERR_OK;
+}
+
+static enum err load_event(void *ctx, uint64_t job_id, int64_t at_us, const char *text)
+{
+    struct job *job = farm_job(ctx, job_id);
+    struct job_event *event = &job->events[job->event_count++ % FARM_EVENTS_SHOWN];
+    event->at_us = at_us;
+    (void)snprintf(event->text, sizeof event->text, "%s", text ? text : "");
+    return ERR_OK;
+}
+
+static enum err load_key(void *ctx, const char *key, const digest *body, uint64_t job,
+                         int64_t at_us)
+{
+    return note_key(ctx, key, body, job, at_us);
+}
+
+/* What an earlier life left of one job's film. */
+static enum err load_film(struct farm *f, struct job *job)
+{
+    bool journal = store_has_journal(f->store, job->rec.id);
+    job->has_stored = journal || store_has_checkpoint(f->store, job->rec.id);
+    bool ended = job_state_ended(job->rec.state);
+    if (ended && !journal) {
+        job->final_stored = true;
+        return ERR_OK;
+    }
+    if (!job->has_stored)
+        return ERR_OK;
+    TL_TRY(job_load_film(f, job));
+    job->journal_bytes = journal ? FARM_CHECKPOINT_BYTES : 0; /* begin with a checkpoint */
+    job->done_share = (double)film_present_count(job->film) / (double)film_total_count(job->film);
+    log_info("jobs", "resumed job=j%" PRIu64 " state=%s done=%.3f", job->rec.id,
+             job_state_names[job->rec.state], job->done_share);
+    return ERR_OK;
+}
+
+enum err jobs_load(struct farm *f)
+{
+    f->job_next = 1;
+    f->keys = mem_calloc(1, sizeof *f->keys);
+    if (!f->keys)
+        return ERR_NOMEM;
+    uint64_t next;
+    enum err e = store_load_value(f->store, "job_next", &next, sizeof next);
+    struct store_visitor v = {f, load_job, load_event, load_key};
+    TL_TRY(store_load(f->store, &v));
+    if (e == ERR_OK && next > f->job_next)
+        f->job_next = next;
+    for (size_t i = 0; i < f->job_count; i++) {
+        struct job *job = f->jobs[i];
+        TL_TRY(store_load_events(f->store, job->rec.id, FARM_EVENTS_SHOWN, &v));
+        TL_TRY(load_film(f, job));
+    }
+    f->admit_due = true;
+    return ERR_OK;
+}
+
+void jobs_release(struct farm *f)
+{
+    for (size_t i = 0; i < f->job_count; i++)
+        job_free(f->jobs[i]);
+    mem_free(f->jobs);
+    for (size_t i = 0; f->keys && i < f->keys->count; i++)
+        mem_free(f->keys->items[i].key);
+    if (f->keys)
+        mem_free(f->keys->items);
+    mem_free(f->keys);
+}
+
+/* --- Time --------------------------------------------------------------- */
+
+/* Forgets a job that ended longer ago than the retention limit. */
+static bool expire(struct farm *f, size_t index)
+{
+    struct job *job = f->jobs[index];
+    int64_t age_us = farm_wall_us() - job->rec.finished_us;
+    if (f->retention_s == 0 || !job_state_ended(job->rec.state) ||
+        age_us < (int64_t)f->retention_s * 1000000 || job->film_users > 0 || job->in_store > 0 ||
+        job->finishing || job->checkpointing)
+        return false;
+    /* The highest id ever given is kept, so that none is given twice. */
+    uint64_t next = f->job_next;
+    if (store_put_value(f->store, "job_next", &next, sizeof next) != ERR_OK ||
+        store_delete_job(f->store, job->rec.id) != ERR_OK)
+        return false;
+    char text[64];
+    (void)snprintf(text, sizeof text, "{\"jobs\":[\"j%" PRIu64 "\"]}", job->rec.id);
+    events_add(f->events, job->rec.id, "gone", text);
+    log_info("jobs", "retention over, removed job=j%" PRIu64, job->rec.id);
+    remove_job(f, index);
+    return true;
+}
+
+void jobs_tick(struct farm *f)
+{
+    for (size_t i = f->job_count; i-- > 0;) {
+        struct job *job = f->jobs[i];
+        if (job->record_dirty)
+            jobs_store_record(f, job);
+        if (job->news_due && farm_now_ms(f) - job->news_at_ms >= NEWS_MS)
+            put_news(f, job);
+        (void)expire(f, i);
+    }
+    job_films_evict(f);
+    if (f->admit_due)
+        jobs_admit(f);
+}

@@ -1,0 +1,573 @@
+/* A result's way: see farm.h. What a worker says is checked here before anything believes it. */
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+
+#include "common/log.h"
+#include "common/mem.h"
+#include "master/farm.h"
+#include "proto/tile_codec.h"
+
+/* One result from its arrival until it is acknowledged. */
+struct result {
+    uv_work_t request;
+    struct farm *farm;
+    uint64_t worker;
+    struct journal_result record;
+    unsigned char *body;   /* owned until it is handed to the store */
+    float *rgb;            /* owned until it is handed to the film */
+    uint64_t *cell_hash;   /* owned; per cell of the unit */
+    uint32_t *cell_pixels; /* owned */
+    uint64_t pixels;
+    uint64_t hash;
+    enum err error;
+    const char *what;   /* is wrong with it */
+    uint32_t runs_open; /* handed to the store and not answered */
+    bool answered;      /* the scheduler has said all */
+    bool failed;        /* the store would not take a part */
+};
+
+static void result_free(struct result *r)
+{
+    mem_free(r->body);
+    mem_free(r->rgb);
+    mem_free(r->cell_hash);
+    mem_free(r->cell_pixels);
+    mem_free(r);
+}
+
+/* Acknowledges and frees the result once nothing of it is under way. */
+static void settle(struct result *r)
+{
+    if (!r->answered || r->runs_open > 0)
+        return;
+    struct message m = {.type = FRAME_RESULT_ACK};
+    m.result_ack.job = r->record.job;
+    m.result_ack.epoch = r->record.epoch;
+    if (!r->failed)
+        workers_send(r->farm, r->worker, &m);
+    result_free(r);
+}
+
+/* --- Decoding, on the pool or the loop ---------------------------------- */
+
+static uint64_t hash_cell(const struct result *r, uint64_t first, uint64_t pixels)
+{
+    struct digest_ctx c;
+    if (digest_begin(&c) != ERR_OK)
+        return 0; /* not known: never compared */
+    for (uint64_t plane = 0; plane < FILM_CHANNELS; plane++)
+        digest_add(&c, r->rgb + plane * r->pixels + first, pixels * sizeof(float));
+    digest d = digest_end(&c);
+    uint64_t hash;
+    memcpy(&hash, d.bytes, sizeof hash);
+    return hash | 1; /* 0 means: not known */
+}
+
+static uint64_t fold(uint64_t so_far, uint64_t cell_hash)
+{
+    uint64_t mixed = (so_far ^ cell_hash) * UINT64_C(0x9e3779b97f4a7c15);
+    return mixed ^ (mixed >> 29);
+}
+
+static void decode(struct result *r)
+{
+    size_t values = (size_t)r->pixels * FILM_CHANNELS;
+    r->error = tile_codec_decode(r->body, r->record.body_bytes, r->rgb, values);
+    if (r->error != ERR_OK) {
+        r->what = "pixels that do not decode";
+        return;
+    }
+    for (size_t i = 0; i < values; i++)
+        if (!isfinite(r->rgb[i])) {
+            r->error = ERR_CORRUPT;
+            r->what = "a pixel that is not finite";
+            return;
+        }
+    uint64_t first = 0;
+    for (uint32_t i = 0; i < r->record.unit.cell_count; i++) {
+        r->cell_hash[i] = hash_cell(r, first, r->cell_pixels[i]);
+        r->hash = fold(r->hash, r->cell_hash[i]);
+        first += r->cell_pixels[i];
+    }
+}
+
+static void decode_run(uv_work_t *request)
+{
+    decode(request->data);
+}
+
+/* --- Checking ----------------------------------------------------------- */
+
+static void refuse(struct farm *f, uint64_t worker, const struct journal_result *record,
+                   const char *what)
+{
+    struct worker *w = farm_worker(f, worker);
+    struct job *job = farm_job(f, record->job);
+    f->counters.results_refused++;
+    log_warn("results", "refused worker=w%" PRIu64 " job=j%" PRIu64 " what=\"%s\"", worker,
+             record->job, what);
+    if (job) {
+        job->rec.stats.rejected++;
+        jobs_log(f, job, "result of w%" PRIu64 " refused: %s", worker, what);
+    }
+    struct sched_event event = {
+        .type = SCHED_UNIT_FAILED, .worker = worker, .job = record->job, .epoch = record->epoch};
+    farm_feed(f, &event);
+    struct message m = {.type = FRAME_RESULT_ACK};
+    m.result_ack.job = record->job;
+    m.result_ack.epoch = record->epoch;
+    if (w)
+        workers_send(f, worker, &m);
+}
+
+/* Counters that no honest worker can give. */
+static const char *implausible(const struct job *job, const struct journal_result *r,
+                               uint64_t pixels)
+{
+    struct job_block block = job_block_at(&job->blocks, r->unit.block);
+    if (r->samples != pixels * block.count)
+        return "a number of samples that is not the unit's";
+    if (r->raw_bytes != pixels * FILM_CHANNELS * sizeof(float))
+        return "a size that is not the unit's";
+    if (r->nonfinite > r->samples)
+        return "more bad samples than samples";
+    if (r->nonfinite > 0 && (r->nonfinite_pixel >= (uint64_t)job->spec.width * job->spec.height ||
+                             r->nonfinite_sample >= job->spec.spp))
+        return "a bad sample outside the picture";
+    return NULL;
+}
+
+static void take_decoded(struct result *r)
+{
+    struct farm *f = r->farm;
+    if (r->error != ERR_OK || f->stopping) {
+        if (!f->stopping)
+            refuse(f, r->worker, &r->record, r->what);
+        result_free(r);
+        return;
+    }
+    struct worker *w = farm_worker(f, r->worker);
+    f->counters.results++;
+    f->counters.samples += r->record.samples;
+    f->counters.rays += r->record.rays;
+    if (w)
+        w->rays += r->record.rays;
+    if (w && r->record.render_us > 0) {
+        double speed = (double)r->record.rays * 1e6 / (double)r->record.render_us * w->threads;
+        w->speed_rays_s = w->speed_rays_s > 0 ? 0.8 * w->speed_rays_s + 0.2 * speed : speed;
+    }
+    struct sched_event event = {.type = SCHED_RESULT,
+                                .worker = r->worker,
+                                .job = r->record.job,
+                                .result = {.unit = r->record.unit,
+                                           .epoch = r->record.epoch,
+                                           .samples = r->record.samples,
+                                           .render_us = r->record.render_us,
+                                           .digest = r->hash}};
+    TL_ASSERT(!f->draining_actions);
+    f->answering = r;
+    farm_feed(f, &event);
+    r->answered = true;
+    settle(r);
+}
+
+static void decode_after(uv_work_t *request, int status)
+{
+    struct result *r = request->data;
+    if (status != 0)
+        r->error = ERR_CANCELLED;
+    take_decoded(r);
+}
+
+/* Memory for a unit that lies in the grid. */
+static struct result *result_new(struct farm *f, const struct job *job, uint64_t worker,
+                                 const struct journal_result *record)
+{
+    struct result *r = mem_calloc(1, sizeof *r);
+    if (!r)
+        return NULL;
+    r->request.data = r;
+    r->farm = f;
+    r->worker = worker;
+    r->record = *record;
+    r->cell_hash = mem_calloc(record->unit.cell_count, sizeof *r->cell_hash);
+    r->cell_pixels = mem_calloc(record->unit.cell_count, sizeof *r->cell_pixels);
+    if (r->cell_hash && r->cell_pixels) {
+        for (uint32_t i = 0; i < record->unit.cell_count; i++) {
+            struct grid_rect rect = grid_cell(&job->grid, record->unit.cell_begin + i);
+            r->cell_pixels[i] = rect.width * rect.height;
+            r->pixels += r->cell_pixels[i];
+        }
+        r->rgb = mem_alloc_array((size_t)r->pixels, FILM_CHANNELS * sizeof(float));
+    }
+    if (!r->rgb) {
+        result_free(r);
+        return NULL;
+    }
+    return r;
+}
+
+static struct journal_result record_of(const struct worker *w, const tilery_Result *m,
+                                       size_t body_bytes)
+{
+    return (struct journal_result){
+        .job = m->job,
+        .unit = {m->cell_begin, m->cell_count, m->block},
+        .worker = (uint32_t)w->id,
+        .epoch = m->epoch,
+        .samples = m->samples,
+        .rays = m->rays,
+        .nonfinite = m->nonfinite,
+        .nonfinite_pixel = m->nonfinite ? m->nonfinite_pixel : UINT64_MAX,
+        .nonfinite_sample = m->nonfinite_sample,
+        .render_us = m->render_us,
+        .raw_bytes = m->raw_bytes,
+        .body_bytes = (uint32_t)body_bytes,
+    };
+}
+
+void results_take(struct farm *f, struct worker *w, const tilery_Result *m, unsigned char *body,
+                  size_t body_bytes)
+{
+    struct journal_result record = record_of(w, m, body_bytes);
+    struct job *job = farm_job(f, record.job);
+    f->counters.result_bytes += body_bytes;
+    const char *what = NULL;
+    if (!job || !job->grid_ready)
+        what = "no such job is being rendered";
+    else if (body_bytes > JOURNAL_BODY_BYTES_MAX ||
+             !grid_has_unit(&job->grid, &job->blocks, record.unit))
+        what = "not a unit of this job";
+    else
+        what = implausible(job, &record,
+                           grid_pixels(&job->grid, record.unit.cell_begin, record.unit.cell_count));
+    struct result *r = what ? NULL : result_new(f, job, w->id, &record);
+    if (!r) {
+        mem_free(body);
+        refuse(f, w->id, &record, what ? what : "out of memory");
+        return;
+    }
+    job->rec.totals.result_bytes += body_bytes;
+    r->body = body;
+    if (record.raw_bytes <= FARM_INLINE_BYTES ||
+        uv_queue_work(f->loop, &r->request, decode_run, decode_after) != 0) {
+        decode(r);
+        take_decoded(r);
+    }
+}
+
+/* --- Storing ------------------------------------------------------------ */
+
+/* An accepted run on its way to the disk. */
+struct storing {
+    struct result *result;
+    struct journal_result record;
+    float *rgb; /* owned */
+};
+
+static void add_totals(struct job *job, const struct journal_result *r)
+{
+    struct job_totals *t = &job->rec.totals;
+    t->units++;
+    t->samples += r->samples;
+    t->rays += r->rays;
+    t->render_us += r->render_us;
+    if (r->nonfinite > 0 && t->nonfinite_pixel == UINT64_MAX) {
+        t->nonfinite_pixel = r->nonfinite_pixel;
+        t->nonfinite_sample = r->nonfinite_sample;
+    }
+    t->nonfinite += r->nonfinite;
+}
+
+static void note_contributor(struct job *job, uint32_t worker)
+{
+    for (uint64_t i = 0; i < job->contributors; i++)
+        if (job->seen[i] == worker)
+            return;
+    if (!mem_grow((void **)&job->seen, job->contributors, &job->seen_capacity, sizeof *job->seen))
+        return;
+    job->seen[job->contributors++] = worker;
+    if (job->contributors > job->rec.stats.workers)
+        job->rec.stats.workers = job->contributors;
+}
+
+static void on_stored(void *ctx, enum err e)
+{
+    struct storing *s = ctx;
+    struct result *r = s->result;
+    struct farm *f = r->farm;
+    struct job *job = farm_job(f, s->record.job);
+    TL_ASSERT(job && job->in_store > 0);
+    job->in_store--;
+    job->settled = s->record.sequence;
+    if (e == ERR_OK) {
+        job->has_stored = true;
+        job->journal_bytes += JOURNAL_HEADER_BYTES + (uint64_t)s->record.body_bytes;
+        e = film_add(job->film, s->record.unit, s->rgb);
+        if (e == ERR_OK) {
+            s->rgb = NULL;
+            add_totals(job, &s->record);
+            note_contributor(job, s->record.worker);
+            job->last_result_us = farm_wall_us();
+        } else {
+            log_error("results", "stored result not added job=j%" PRIu64 " error=%s", s->record.job,
+                      err_name(e));
+        }
+        if (e == ERR_NOMEM)
+            jobs_fail(f, job, "out of memory");
+    } else {
+        r->failed = true;
+        jobs_disk_trouble(f, job, e);
+    }
+    mem_free(s->rgb);
+    mem_free(s);
+    r->runs_open--;
+    settle(r);
+    if (f->stopping)
+        return;
+    jobs_changed(f, job, false);
+    job_film_changed(f, job);
+    f->admit_due |= !job->in_sched;
+}
+
+/* Planes of a part of the unit's cells. */
+static float *cut_pixels(const struct result *r, uint32_t skip, uint32_t count, uint64_t *pixels)
+{
+    uint64_t first = 0, length = 0;
+    for (uint32_t i = 0; i < skip + count; i++)
+        *(i < skip ? &first : &length) += r->cell_pixels[i];
+    float *rgb = mem_alloc_array((size_t)length, FILM_CHANNELS * sizeof(float));
+    for (uint64_t plane = 0; rgb && plane < FILM_CHANNELS; plane++)
+        memcpy(rgb + plane * length, r->rgb + plane * r->pixels + first, length * sizeof(float));
+    *pixels = length;
+    return rgb;
+}
+
+/* The record of a run: the whole result's, or its share. */
+static enum err cut_record(struct result *r, struct unit run, struct storing *s,
+                           unsigned char **body)
+{
+    s->record = r->record;
+    if (run.cell_count == r->record.unit.cell_count) {
+        s->rgb = r->rgb;
+        *body = r->body;
+        r->rgb = NULL;
+        r->body = NULL;
+        return ERR_OK;
+    }
+    uint64_t pixels = 0;
+    size_t bytes = 0;
+    s->rgb = cut_pixels(r, run.cell_begin - r->record.unit.cell_begin, run.cell_count, &pixels);
+    if (!s->rgb)
+        return ERR_NOMEM;
+    enum err e = tile_codec_encode(s->rgb, (size_t)pixels * FILM_CHANNELS, body, &bytes);
+    if (e != ERR_OK) {
+        mem_free(s->rgb);
+        return e;
+    }
+    double share = (double)pixels / (double)r->pixels;
+    s->record.unit = run;
+    s->record.samples = r->record.samples / r->pixels * pixels;
+    s->record.rays = (uint64_t)((double)r->record.rays * share);
+    s->record.render_us = (uint64_t)((double)r->record.render_us * share);
+    s->record.raw_bytes = (uint32_t)(pixels * FILM_CHANNELS * sizeof(float));
+    s->record.body_bytes = (uint32_t)bytes;
+    /* Bad samples are told once, with the first part. */
+    r->record.nonfinite = 0;
+    return ERR_OK;
+}
+
+static void note_spots(struct job *job, const struct result *r, struct unit run)
+{
+    uint32_t skip = run.cell_begin - r->record.unit.cell_begin;
+    uint64_t spot = (uint64_t)run.block * job->grid.cell_count + run.cell_begin;
+    for (uint32_t i = 0; i < run.cell_count; i++) {
+        job->spot_hash[spot + i] = r->cell_hash[skip + i];
+        job->spot_worker[spot + i] = r->record.worker;
+    }
+}
+
+void results_accept(struct farm *f, const struct sched_action *a)
+{
+    struct result *r = f->answering;
+    struct job *job = farm_job(f, a->job);
+    TL_ASSERT(r && job && job->in_sched);
+    struct storing *s = mem_calloc(1, sizeof *s);
+    unsigned char *body = NULL;
+    enum err e = s ? job_need_film(job) : ERR_NOMEM;
+    if (e == ERR_OK)
+        e = cut_record(r, a->unit, s, &body);
+    if (e != ERR_OK) {
+        mem_free(s);
+        r->failed = true;
+        jobs_fail(f, job, err_text(e));
+        return;
+    }
+    note_spots(job, r, a->unit);
+    s->result = r;
+    s->record.sequence = ++job->sequence;
+    r->runs_open++;
+    job->in_store++;
+    e = store_put_result(f->store, &s->record, body, on_stored, s);
+    if (e != ERR_OK) {
+        /* Nothing was queued, so no answer will come. */
+        r->runs_open--;
+        job->in_store--;
+        r->failed = true;
+        mem_free(s->rgb);
+        mem_free(s);
+        jobs_fail(f, job, err_text(e));
+    }
+}
+
+/* --- Comparing ---------------------------------------------------------- */
+
+void results_compare(struct farm *f, const struct sched_action *a)
+{
+    struct result *r = f->answering;
+    struct job *job = farm_job(f, a->job);
+    TL_ASSERT(r);
+    if (!job || !job->spot_hash)
+        return;
+    uint32_t skip = a->unit.cell_begin - r->record.unit.cell_begin;
+    uint64_t spot = (uint64_t)a->unit.block * job->grid.cell_count + a->unit.cell_begin;
+    const uint64_t *known = job->spot_hash + spot;
+    const uint32_t *who = job->spot_worker + spot;
+    for (uint32_t i = 0; i < a->unit.cell_count;) {
+        if (known[i] == 0 || known[i] == r->cell_hash[skip + i]) {
+            i++;
+            continue;
+        }
+        struct sched_event event = {.type = SCHED_MISMATCH,
+                                    .worker = r->worker,
+                                    .job = a->job,
+                                    .mismatch = {.unit = {a->unit.cell_begin + i, 0, a->unit.block},
+                                                 .worker_accepted = who[i]}};
+        struct sched_mismatch *m = &event.mismatch;
+        for (; i < a->unit.cell_count && who[i] == m->worker_accepted && known[i] != 0 &&
+               known[i] != r->cell_hash[skip + i];
+             i++) {
+            m->unit.cell_count++;
+            m->digest_accepted = fold(m->digest_accepted, known[i]);
+            m->digest = fold(m->digest, r->cell_hash[skip + i]);
+        }
+        jobs_log(f, job,
+                 "w%" PRIu64 " and w%" PRIu64 " differ in %" PRIu32 " cells of block %" PRIu32,
+                 r->worker, m->worker_accepted, m->unit.cell_count, m->unit.block);
+        farm_feed(f, &event);
+    }
+}
+
+/* A reset on its way to the disk: the film forgets in the order of the journal. */
+struct resetting {
+    struct farm *farm;
+    uint64_t job, sequence;
+    uint32_t cell_begin, cell_count;
+};
+
+static void on_reset_stored(void *ctx, enum err e)
+{
+    struct resetting *s = ctx;
+    struct job *job = farm_job(s->farm, s->job);
+    TL_ASSERT(job && job->in_store > 0);
+    job->in_store--;
+    job->settled = s->sequence;
+    if (e == ERR_OK && job->film)
+        e = film_reset(job->film, s->cell_begin, s->cell_count);
+    if (e != ERR_OK)
+        jobs_fail(s->farm, job, err_text(e));
+    mem_free(s);
+}
+
+static void reset_run(struct farm *f, struct job *job, uint32_t begin, uint32_t count)
+{
+    struct resetting *s = mem_alloc(sizeof *s);
+    if (!s) {
+        jobs_fail(f, job, err_text(ERR_NOMEM));
+        return;
+    }
+    *s = (struct resetting){f, job->rec.id, ++job->sequence, begin, count};
+    job->in_store++;
+    if (store_put_reset(f->store, job->rec.id, s->sequence, begin, count, on_reset_stored, s) !=
+        ERR_OK) {
+        job->in_store--;
+        mem_free(s);
+        jobs_fail(f, job, err_text(ERR_NOMEM));
+        return;
+    }
+    for (uint64_t block = 0; block < job->blocks.count; block++) {
+        uint64_t spot = block * job->grid.cell_count + begin;
+        memset(job->spot_hash + spot, 0, count * sizeof *job->spot_hash);
+        memset(job->spot_worker + spot, 0, count * sizeof *job->spot_worker);
+    }
+    struct sched_event event = {
+        .type = SCHED_CELLS_RESET, .job = job->rec.id, .unit = {begin, count, 0}};
+    farm_feed(f, &event);
+}
+
+static bool touched(const struct job *job, uint64_t worker, uint32_t cell)
+{
+    for (uint64_t block = 0; block < job->blocks.count; block++)
+        if (job->spot_worker[block * job->grid.cell_count + cell] == worker)
+            return true;
+    return false;
+}
+
+void results_reset_liar(struct farm *f, const struct sched_action *a)
+{
+    /* Fed while actions are drained: comes after every reset below. */
+    struct sched_event settled = {.type = SCHED_LIAR_SETTLED};
+    if (a->worker == 0) {
+        farm_feed(f, &settled);
+        return;
+    }
+    log_error("results", "worker gave wrong bits worker=w%" PRIu64 " job=j%" PRIu64, a->worker,
+              a->job);
+    for (size_t i = 0; i < f->job_count; i++) {
+        struct job *job = f->jobs[i];
+        if (!job->in_sched || !job->spot_worker)
+            continue;
+        uint32_t cells = 0;
+        for (uint32_t cell = 0; cell < job->grid.cell_count; cell++) {
+            uint32_t begin = cell;
+            while (cell < job->grid.cell_count && touched(job, a->worker, cell))
+                cell++;
+            if (cell > begin)
+                reset_run(f, job, begin, cell - begin);
+            cells += cell - begin;
+        }
+        if (cells > 0)
+            jobs_log(f, job, "w%" PRIu64 " lied and is set aside; %" PRIu32 " cells start again",
+                     a->worker, cells);
+    }
+    farm_feed(f, &settled);
+    struct worker *w = farm_worker(f, a->worker);
+    if (w)
+        workers_changed(f, w);
+}
+
+/* --- Replaying ---------------------------------------------------------- */
+
+enum err results_replay(void *ctx, struct film *film, const struct journal_result *r,
+                        const unsigned char *body)
+{
+    struct job *job = ctx;
+    if (!grid_has_unit(&job->grid, &job->blocks, r->unit))
+        return ERR_CORRUPT;
+    uint64_t pixels = grid_pixels(&job->grid, r->unit.cell_begin, r->unit.cell_count);
+    float *rgb = mem_alloc_array((size_t)pixels, FILM_CHANNELS * sizeof(float));
+    if (!rgb)
+        return ERR_NOMEM;
+    enum err e = tile_codec_decode(body, r->body_bytes, rgb, (size_t)pixels * FILM_CHANNELS);
+    if (e == ERR_OK)
+        e = film_add(film, r->unit, rgb);
+    if (e != ERR_OK) {
+        mem_free(rgb);
+        return e;
+    }
+    add_totals(job, r);
+    note_contributor(job, r->worker);
+    job->rec.totals.result_bytes += r->body_bytes;
+    return ERR_OK;
+}
