@@ -113,8 +113,8 @@ TL_NODISCARD enum err conn_send(struct conn *c, const struct message *m, struct 
 void conn_close(struct conn *c, enum err why);
 
 /* Sends what is queued, says end of file, discards what still comes in, and closes once the peer
- * has closed or after two seconds: so that a Refuse or a Goodbye is read. No message is delivered from
- * now on. */
+ * has closed or after two seconds: so that a Refuse or a Goodbye is read. No message is delivered
+ * from now on. */
 void conn_finish(struct conn *c, enum err why);
 
 /* Stops or starts delivering messages; the kernel then holds the peer back. Silence does not count

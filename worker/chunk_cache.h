@@ -31,9 +31,9 @@ void chunk_cache_begin(struct chunk_cache *c);
 /* True if it is there, as far as we know; then it counts as used. */
 bool chunk_cache_has(struct chunk_cache *c, const digest *name);
 
-/* Checks that the frame is the chunk of that name with at most `raw_bytes_max` plain bytes, and keeps
- * it. Takes `frame` (mem_free) in any case. A folder that cannot take it (disk full) costs memory, not
- * the chunk. ERR_CORRUPT, ERR_LIMIT: it is not that chunk; ERR_NOMEM. */
+/* Checks that the frame is the chunk of that name with at most `raw_bytes_max` plain bytes, and
+ * keeps it. Takes `frame` (mem_free) in any case. A folder that cannot take it (disk full) costs
+ * memory, not the chunk. ERR_CORRUPT, ERR_LIMIT: it is not that chunk; ERR_NOMEM. */
 TL_NODISCARD enum err chunk_cache_put(struct chunk_cache *c, const digest *name,
                                       unsigned char *frame, size_t frame_bytes,
                                       uint64_t raw_bytes_max);

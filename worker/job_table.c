@@ -9,7 +9,7 @@
 enum { TEXT_BYTES = 256 };
 
 struct job_table {
-    struct scene_loader *loader;
+    struct scene_fetcher *loader;
     struct outlet outlet;
     struct job_table_handlers handlers;
     void *ctx;
@@ -34,7 +34,7 @@ static void free_job(struct job_table *t, struct worker_job *job)
 {
     TL_ASSERT(job->users == 0);
     if (job->state == WORKER_JOB_LOADING)
-        scene_loader_cancel(t->loader, job->id);
+        scene_fetcher_cancel(t->loader, job->id);
     if (job->state == WORKER_JOB_READY)
         drop_scene(t, job);
     TAILQ_REMOVE(&t->jobs, job, in_jobs);
@@ -124,7 +124,7 @@ static struct worker_job *find_any(struct job_table *t, uint64_t id)
 
 static void load(struct job_table *t, struct worker_job *job)
 {
-    enum err e = scene_loader_start(t->loader, job->id, &job->package, &job->spec);
+    enum err e = scene_fetcher_start(t->loader, job->id, &job->package, &job->spec);
     job->state = WORKER_JOB_LOADING;
     if (e != ERR_OK)
         fail(t, job, e, "cannot start to load the scene");
@@ -170,7 +170,8 @@ static bool on_request(void *ctx, const digest *chunk)
 /* --- Messages ------------------------------------------------------------------------- */
 
 /* Reads and checks what a JobInfo asks for. */
-static enum err new_job(struct job_table *t, const tilery_JobInfo *info, struct worker_job **out)
+static enum err new_job(struct job_table *t, const tilery_JobInfo *info, struct diag_list *problems,
+                        struct worker_job **out)
 {
     struct worker_job *job = mem_calloc(1, sizeof *job);
     if (!job)
@@ -180,7 +181,7 @@ static enum err new_job(struct job_table *t, const tilery_JobInfo *info, struct 
         job->package.bytes[i] = info->package[i];
     job->spec_digest = digest_of(info->spec_json.bytes, info->spec_json.size);
     enum err e = job_spec_from_json((const char *)info->spec_json.bytes, info->spec_json.size,
-                                    &job->spec, NULL);
+                                    &job->spec, problems);
     if (e == ERR_OK)
         e = grid_init(&job->grid, &job->spec);
     if (e != ERR_OK) {
@@ -206,7 +207,7 @@ static bool same_job(const struct worker_job *job, const tilery_JobInfo *info)
 static void begone(struct job_table *t, struct worker_job *job)
 {
     if (job->state == WORKER_JOB_LOADING) {
-        scene_loader_cancel(t->loader, job->id);
+        scene_fetcher_cancel(t->loader, job->id);
         job->state = WORKER_JOB_IDLE;
     }
     job->gone = job->ended = true;
@@ -228,13 +229,16 @@ enum err job_table_announce(struct job_table *t, const tilery_JobInfo *info)
         free_job(t, oldest);
     }
     if (!job) {
-        enum err e = new_job(t, info, &job);
-        if (e == ERR_NOMEM)
-            return e;
-        if (e != ERR_OK) {
-            say_failed(t, info->job, e, "the job's settings cannot be used");
-            return ERR_OK;
-        }
+        struct diag_list problems;
+        diag_init(&problems);
+        enum err e = new_job(t, info, &problems, &job);
+        if (e != ERR_OK && e != ERR_NOMEM)
+            say_failed(t, info->job, e,
+                       problems.count > 0 ? problems.items[0].text
+                                          : "the job's settings cannot be used");
+        diag_release(&problems);
+        if (e != ERR_OK)
+            return e == ERR_NOMEM ? e : ERR_OK;
     }
     job->ended = false;
     job->used = ++t->clock;
@@ -255,7 +259,7 @@ void job_table_end(struct job_table *t, struct worker_job *job)
 {
     job->ended = true;
     if (job->state == WORKER_JOB_LOADING) {
-        scene_loader_cancel(t->loader, job->id);
+        scene_fetcher_cancel(t->loader, job->id);
         job->state = WORKER_JOB_IDLE;
     }
     if (job->users == 0 && job->state != WORKER_JOB_READY)
@@ -299,12 +303,12 @@ void job_table_stop_loading(struct job_table *t)
     {
         if (job->state != WORKER_JOB_LOADING)
             continue;
-        scene_loader_cancel(t->loader, job->id);
+        scene_fetcher_cancel(t->loader, job->id);
         job->state = WORKER_JOB_IDLE;
     }
 }
 
-struct scene_loader *job_table_loader(struct job_table *t)
+struct scene_fetcher *job_table_loader(struct job_table *t)
 {
     return t->loader;
 }
@@ -323,8 +327,8 @@ enum err job_table_new(struct pool *pool, struct chunk_cache *cache, uint64_t sc
     t->ctx = ctx;
     t->scene_bytes_max = scene_bytes_max;
     TAILQ_INIT(&t->jobs);
-    struct scene_loader_handlers on = {.request = on_request, .finished = on_finished};
-    enum err e = scene_loader_new(pool, cache, &on, t, &t->loader);
+    struct scene_fetcher_handlers on = {.request = on_request, .finished = on_finished};
+    enum err e = scene_fetcher_new(pool, cache, &on, t, &t->loader);
     if (e != ERR_OK) {
         mem_free(t);
         return e;
@@ -344,6 +348,6 @@ void job_table_free(struct job_table *t)
             job->state = WORKER_JOB_IDLE;
         free_job(t, job);
     }
-    scene_loader_free(t->loader);
+    scene_fetcher_free(t->loader);
     mem_free(t);
 }

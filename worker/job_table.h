@@ -16,7 +16,7 @@
 
 #include "common/grid.h"
 #include "worker/outlet.h"
-#include "worker/scene_loader.h"
+#include "worker/scene_fetcher.h"
 
 enum { JOBS_MAX = 1024 };
 
@@ -71,6 +71,6 @@ void job_table_forget(struct job_table *t);
 /* What is being loaded is not wanted any more (drain). */
 void job_table_stop_loading(struct job_table *t);
 
-struct scene_loader *job_table_loader(struct job_table *t);
+struct scene_fetcher *job_table_loader(struct job_table *t);
 
 #endif

@@ -330,8 +330,8 @@ enum err work_body_wanted(const struct work *w, const struct message *m, uint32_
     if (m->type != FRAME_CHUNK_DATA)
         return ERR_CORRUPT;
     digest name = digest_from(m->chunk_data.sha256);
-    return scene_loader_wants(job_table_loader(w->jobs), &name, m->chunk_data.raw_bytes,
-                              body_bytes);
+    return scene_fetcher_wants(job_table_loader(w->jobs), &name, m->chunk_data.raw_bytes,
+                               body_bytes);
 }
 
 static enum err on_chunk(struct work *w, const tilery_ChunkData *m, unsigned char *body,
@@ -340,7 +340,7 @@ static enum err on_chunk(struct work *w, const tilery_ChunkData *m, unsigned cha
     digest name = digest_from(m->sha256);
     if (!body)
         return ERR_CORRUPT;
-    scene_loader_chunk(job_table_loader(w->jobs), &name, body, body_bytes);
+    scene_fetcher_chunk(job_table_loader(w->jobs), &name, body, body_bytes);
     return ERR_OK;
 }
 
@@ -354,7 +354,7 @@ enum err work_message(struct work *w, const struct message *m, unsigned char *bo
         return on_chunk(w, &m->chunk_data, body, body_bytes);
     case FRAME_CHUNK_MISSING:
         name = digest_from(m->chunk_missing.sha256);
-        scene_loader_missing(job_table_loader(w->jobs), &name);
+        scene_fetcher_missing(job_table_loader(w->jobs), &name);
         break;
     case FRAME_JOB_INFO:
         if (!w->draining)
@@ -394,14 +394,14 @@ void work_connected(struct work *w, bool same_farm)
     TAILQ_FOREACH(r, &w->results, in_results)
     r->sent = false;
     work_flush(w);
-    scene_loader_connected(job_table_loader(w->jobs));
+    scene_fetcher_connected(job_table_loader(w->jobs));
 }
 
 void work_disconnected(struct work *w)
 {
     w->connected = false;
     drop_all(w, NULL, false);
-    scene_loader_disconnected(job_table_loader(w->jobs));
+    scene_fetcher_disconnected(job_table_loader(w->jobs));
 }
 
 void work_drain(struct work *w)

@@ -1,4 +1,4 @@
-/* worker/scene_loader.h: from a package's name to a scene that can be traced.
+/* worker/scene_fetcher.h: from a package's name to a scene that can be traced.
  *
  * One load at a time, in order of request. For each: read the root chunk from the
  * cache, ask the master for what is missing (a few requests in flight), check and
@@ -13,15 +13,15 @@
  * Thread: the loop's; its tasks run on the pool's service thread.
  * Tests: the fake-master test (tests/e2e/test_worker_wire.py).
  */
-#ifndef WORKER_SCENE_LOADER_H
-#define WORKER_SCENE_LOADER_H
+#ifndef WORKER_SCENE_FETCHER_H
+#define WORKER_SCENE_FETCHER_H
 
 #include "common/digest.h"
 #include "worker/chunk_cache.h"
 #include "worker/pool.h"
 #include "worker/scene/scene_build.h"
 
-struct scene_loader; /* opaque */
+struct scene_fetcher; /* opaque */
 
 struct loaded_scene {
     struct render_scene *scene; /* yours: render_scene_free */
@@ -29,8 +29,8 @@ struct loaded_scene {
     uint64_t scene_bytes, received_bytes;
 };
 
-struct scene_loader_handlers {
-    /* Asks the master for a chunk; false: not connected now (scene_loader_connected follows). */
+struct scene_fetcher_handlers {
+    /* Asks the master for a chunk; false: not connected now (scene_fetcher_connected follows). */
     bool (*request)(void *ctx, const digest *chunk);
 
     /* The load of `job` is over, and `scene` (NULL after an error) is yours. `text` says what went
@@ -40,29 +40,29 @@ struct scene_loader_handlers {
 };
 
 /* Borrows pool and cache. ERR_NOMEM. */
-TL_NODISCARD enum err scene_loader_new(struct pool *pool, struct chunk_cache *cache,
-                                       const struct scene_loader_handlers *handlers, void *ctx,
-                                       struct scene_loader **out);
+TL_NODISCARD enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
+                                       const struct scene_fetcher_handlers *handlers, void *ctx,
+                                       struct scene_fetcher **out);
 
 /* After pool_close: none of its tasks is left. */
-void scene_loader_free(struct scene_loader *l);
+void scene_fetcher_free(struct scene_fetcher *l);
 
 /* Queues a load; copies package and spec. A job is loaded at most once at a time (asserted). */
-TL_NODISCARD enum err scene_loader_start(struct scene_loader *l, uint64_t job,
+TL_NODISCARD enum err scene_fetcher_start(struct scene_fetcher *l, uint64_t job,
                                          const digest *package, const struct job_spec *spec);
-void scene_loader_cancel(struct scene_loader *l, uint64_t job);
+void scene_fetcher_cancel(struct scene_fetcher *l, uint64_t job);
 
 /* The connection is up: asks (again) for what is missing. Down: forgets what was asked. */
-void scene_loader_connected(struct scene_loader *l);
-void scene_loader_disconnected(struct scene_loader *l);
+void scene_fetcher_connected(struct scene_fetcher *l);
+void scene_fetcher_disconnected(struct scene_fetcher *l);
 
 /* For the body of a ChunkData: ERR_OK if it was asked for and the sizes can be true. */
-TL_NODISCARD enum err scene_loader_wants(const struct scene_loader *l, const digest *chunk,
+TL_NODISCARD enum err scene_fetcher_wants(const struct scene_fetcher *l, const digest *chunk,
                                          uint64_t raw_bytes, uint64_t body_bytes);
 
 /* Takes `body` (mem_free). */
-void scene_loader_chunk(struct scene_loader *l, const digest *chunk, unsigned char *body,
+void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned char *body,
                         size_t body_bytes);
-void scene_loader_missing(struct scene_loader *l, const digest *chunk);
+void scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk);
 
 #endif

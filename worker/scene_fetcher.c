@@ -1,4 +1,4 @@
-#include "worker/scene_loader.h"
+#include "worker/scene_fetcher.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -29,7 +29,7 @@ enum phase { PHASE_QUEUED, PHASE_OPENING, PHASE_FETCHING, PHASE_BUILDING };
 
 struct load {
     struct pool_task task;
-    struct scene_loader *loader;
+    struct scene_fetcher *loader;
     uint64_t job;
     digest package;
     struct job_spec spec;
@@ -62,10 +62,10 @@ struct asked {
     size_t want;
 };
 
-struct scene_loader {
+struct scene_fetcher {
     struct pool *pool;
     struct chunk_cache *cache;
-    struct scene_loader_handlers handlers;
+    struct scene_fetcher_handlers handlers;
     void *ctx;
     TAILQ_HEAD(, load) loads; /* the first is the one at work */
     struct asked asked[ASKED_MAX];
@@ -76,7 +76,7 @@ struct scene_loader {
 /* A chunk on its way to the cache. */
 struct store {
     struct pool_task task;
-    struct scene_loader *loader;
+    struct scene_fetcher *loader;
     struct load *load; /* NULL: of a load that is no more */
     size_t want;
     digest name;
@@ -94,8 +94,8 @@ static double now_seconds(void)
     return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
 }
 
-static void begin_next(struct scene_loader *l);
-static void ask(struct scene_loader *l);
+static void begin_next(struct scene_fetcher *l);
+static void ask(struct scene_fetcher *l);
 
 /* --- The end of a load ------------------------------------------------------------ */
 
@@ -110,7 +110,7 @@ static void free_load(struct load *load)
 }
 
 /* Takes the load out of everything that refers to it. */
-static void detach(struct scene_loader *l, struct load *load)
+static void detach(struct scene_fetcher *l, struct load *load)
 {
     for (size_t i = 0; i < ASKED_MAX; i++)
         if (l->asked[i].load == load)
@@ -124,7 +124,7 @@ static void detach(struct scene_loader *l, struct load *load)
 
 static void end(struct load *load, enum err error, const char *text)
 {
-    struct scene_loader *l = load->loader;
+    struct scene_fetcher *l = load->loader;
     struct loaded_scene scene = {.scene = load->scene,
                                  .load_seconds = load->load_seconds,
                                  .build_seconds = load->build_seconds,
@@ -288,7 +288,7 @@ static void want_root(struct load *load)
 static void done_open(struct pool_task *task)
 {
     struct load *load = (struct load *)task;
-    struct scene_loader *l = load->loader;
+    struct scene_fetcher *l = load->loader;
     if (load->cancelled || load->error != ERR_OK) {
         end(load, load->error, load->step);
         return;
@@ -310,7 +310,7 @@ static void done_build(struct pool_task *task)
     end(load, load->error, load->error == ERR_OK ? "" : load->step);
 }
 
-static void begin_next(struct scene_loader *l)
+static void begin_next(struct scene_fetcher *l)
 {
     struct load *load = TAILQ_FIRST(&l->loads);
     if (!load || load->phase != PHASE_QUEUED)
@@ -322,7 +322,7 @@ static void begin_next(struct scene_loader *l)
 
 /* --- Asking and receiving ----------------------------------------------------------- */
 
-static struct asked *free_slot(struct scene_loader *l)
+static struct asked *free_slot(struct scene_fetcher *l)
 {
     for (size_t i = 0; i < ASKED_MAX; i++)
         if (!l->asked[i].used)
@@ -330,7 +330,7 @@ static struct asked *free_slot(struct scene_loader *l)
     return NULL;
 }
 
-static struct asked *find_asked(const struct scene_loader *l, const digest *name)
+static struct asked *find_asked(const struct scene_fetcher *l, const digest *name)
 {
     for (size_t i = 0; i < ASKED_MAX; i++)
         if (l->asked[i].used && digest_equal(&l->asked[i].name, name))
@@ -340,7 +340,7 @@ static struct asked *find_asked(const struct scene_loader *l, const digest *name
 
 /* Asks for the next chunks of the load at work, as far as the window allows; once all are held,
  * goes on to the next phase. */
-static void ask(struct scene_loader *l)
+static void ask(struct scene_fetcher *l)
 {
     struct load *load = TAILQ_FIRST(&l->loads);
     if (!load || load->phase != PHASE_FETCHING)
@@ -373,7 +373,7 @@ static void ask(struct scene_loader *l)
     }
 }
 
-static void answered(struct scene_loader *l, struct asked *a)
+static void answered(struct scene_fetcher *l, struct asked *a)
 {
     TL_ASSERT(a->used && l->asked_bytes >= a->raw_bytes_max);
     l->asked_bytes -= a->raw_bytes_max;
@@ -396,7 +396,7 @@ static void want_again(struct load *load, size_t i, enum err error)
 static void done_store(struct pool_task *task)
 {
     struct store *s = (struct store *)task;
-    struct scene_loader *l = s->loader;
+    struct scene_fetcher *l = s->loader;
     struct load *load = s->load;
     size_t i = s->want;
     enum err error = s->error;
@@ -415,8 +415,8 @@ static void done_store(struct pool_task *task)
     }
 }
 
-enum err scene_loader_wants(const struct scene_loader *l, const digest *chunk, uint64_t raw_bytes,
-                            uint64_t body_bytes)
+enum err scene_fetcher_wants(const struct scene_fetcher *l, const digest *chunk, uint64_t raw_bytes,
+                             uint64_t body_bytes)
 {
     const struct asked *a = find_asked(l, chunk);
     if (!a)
@@ -427,8 +427,8 @@ enum err scene_loader_wants(const struct scene_loader *l, const digest *chunk, u
     return ERR_OK;
 }
 
-void scene_loader_chunk(struct scene_loader *l, const digest *chunk, unsigned char *body,
-                        size_t body_bytes)
+void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned char *body,
+                         size_t body_bytes)
 {
     struct asked *a = find_asked(l, chunk);
     struct store *s = a ? mem_calloc(1, sizeof *s) : NULL;
@@ -459,7 +459,7 @@ void scene_loader_chunk(struct scene_loader *l, const digest *chunk, unsigned ch
     ask(l);
 }
 
-void scene_loader_missing(struct scene_loader *l, const digest *chunk)
+void scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk)
 {
     struct asked *a = find_asked(l, chunk);
     if (!a)
@@ -473,12 +473,12 @@ void scene_loader_missing(struct scene_loader *l, const digest *chunk)
 
 /* --- Requests ----------------------------------------------------------------------- */
 
-void scene_loader_connected(struct scene_loader *l)
+void scene_fetcher_connected(struct scene_fetcher *l)
 {
     ask(l);
 }
 
-void scene_loader_disconnected(struct scene_loader *l)
+void scene_fetcher_disconnected(struct scene_fetcher *l)
 {
     for (size_t i = 0; i < ASKED_MAX; i++) {
         struct asked *a = &l->asked[i];
@@ -493,8 +493,8 @@ void scene_loader_disconnected(struct scene_loader *l)
     }
 }
 
-enum err scene_loader_start(struct scene_loader *l, uint64_t job, const digest *package,
-                            const struct job_spec *spec)
+enum err scene_fetcher_start(struct scene_fetcher *l, uint64_t job, const digest *package,
+                             const struct job_spec *spec)
 {
     struct load *load;
     TAILQ_FOREACH(load, &l->loads, in_loads)
@@ -513,7 +513,7 @@ enum err scene_loader_start(struct scene_loader *l, uint64_t job, const digest *
     return ERR_OK;
 }
 
-void scene_loader_cancel(struct scene_loader *l, uint64_t job)
+void scene_fetcher_cancel(struct scene_fetcher *l, uint64_t job)
 {
     struct load *load;
     TAILQ_FOREACH(load, &l->loads, in_loads)
@@ -527,21 +527,21 @@ void scene_loader_cancel(struct scene_loader *l, uint64_t job)
         end(load, ERR_CANCELLED, "");
 }
 
-enum err scene_loader_new(struct pool *pool, struct chunk_cache *cache,
-                          const struct scene_loader_handlers *handlers, void *ctx,
-                          struct scene_loader **out)
+enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
+                           const struct scene_fetcher_handlers *handlers, void *ctx,
+                           struct scene_fetcher **out)
 {
-    struct scene_loader *l = mem_calloc(1, sizeof *l);
+    struct scene_fetcher *l = mem_calloc(1, sizeof *l);
     if (!l)
         return ERR_NOMEM;
-    *l = (struct scene_loader){.pool = pool, .cache = cache, .handlers = *handlers, .ctx = ctx};
+    *l = (struct scene_fetcher){.pool = pool, .cache = cache, .handlers = *handlers, .ctx = ctx};
     TAILQ_INIT(&l->loads);
     TAILQ_INIT(&l->stores);
     *out = l;
     return ERR_OK;
 }
 
-void scene_loader_free(struct scene_loader *l)
+void scene_fetcher_free(struct scene_fetcher *l)
 {
     if (!l)
         return;
