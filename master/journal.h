@@ -6,8 +6,8 @@
  * what the store's index says (store.h): append, sync, commit, then acknowledge.
  *
  *   bytes  0  magic "TLR1", u32 body_bytes, then the fields of struct journal_result in order,
- *        112  SHA-256 of the SHA-256 of bytes 0..111 and that of the body
- *        144  the body
+ *        104  SHA-256 of the SHA-256 of bytes 0..103 and that of the body
+ *        136  the body
  *
  * Pure; any thread. Tests: tests/unit/test_journal.c (every prefix, every flipped bit).
  */
@@ -17,7 +17,7 @@
 #include "common/digest.h"
 #include "common/grid.h"
 
-enum { JOURNAL_HEADER_BYTES = 144, JOURNAL_BODY_BYTES_MAX = 1 << 30 };
+enum { JOURNAL_HEADER_BYTES = 136, JOURNAL_BODY_BYTES_MAX = 1 << 30 };
 
 struct journal_result {
     uint64_t job;
