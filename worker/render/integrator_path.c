@@ -53,6 +53,10 @@ static void add_emission(const struct render_scene *scene, struct path *path,
         weight = found_weight(scene, path, pdf);
     }
     rgb light_in = rgb_mul(path->beta, object->radiance);
+    if (object->emission_texture != SCENE_NONE) {
+        const struct texture *texture = &scene->textures[object->emission_texture];
+        light_in = rgb_mul(light_in, texture_color(texture, s->u, s->v));
+    }
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
 }
 

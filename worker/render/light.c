@@ -3,6 +3,16 @@
 #include "common/dmath.h"
 #include "worker/render/warp.h"
 
+rgb light_emission(const struct light *l, double b1, double b2)
+{
+    if (!l->texture)
+        return l->radiance;
+    double b0 = 1 - b1 - b2;
+    double u = b0 * (double)l->uv[0] + b1 * (double)l->uv[2] + b2 * (double)l->uv[4];
+    double v = b0 * (double)l->uv[1] + b1 * (double)l->uv[3] + b2 * (double)l->uv[5];
+    return rgb_mul(l->radiance, texture_color(l->texture, u, v));
+}
+
 /* A point of a triangle or parallelogram. */
 static bool sample_area(const struct light *l, vec3 p, double u, double v, struct light_sample *s)
 {
@@ -19,7 +29,7 @@ static bool sample_area(const struct light *l, vec3 p, double u, double v, struc
     s->wi = v3_scale(d, 1 / distance);
     s->target = v3_mad(q, l->n, l->error);
     s->pdf = distance2 * distance / (cosine * l->area);
-    s->radiance = l->radiance;
+    s->radiance = light_emission(l, a, b);
     return true;
 }
 

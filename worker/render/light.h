@@ -34,7 +34,9 @@ struct light {
     double radius; /* sphere */
     double error;  /* of points on the area, along n */
     double cos_inner, cos_outer;
-    double probability; /* of being chosen */
+    const struct texture *texture; /* triangle: times radiance; NULL: none */
+    float uv[6];                   /* of its corners, when it has a texture */
+    double probability;            /* of being chosen */
 };
 
 /* The sky: a texture on the sphere of directions. */
@@ -73,6 +75,9 @@ bool light_sample(const struct light_table *t, vec3 p, double choose, double u, 
  * `distance2` on light `index`, seen under the cosine `cos_light` > 0 at its own normal. */
 double light_pdf(const struct light_table *t, uint32_t index, vec3 p, double distance2,
                  double cos_light);
+
+/* Radiance of an area light at the weights of its vertices 1 and 2. */
+rgb light_emission(const struct light *l, double b1, double b2);
 
 /* Radiance of the sky at a point of its map. */
 rgb environment_lookup(const struct environment *e, double u, double v);

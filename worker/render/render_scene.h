@@ -36,7 +36,8 @@ struct render_object {
     uint32_t material;
     uint32_t light_begin; /* triangles: object_lights[light_begin + primitive] is its light; sphere:
                              [light_begin]; SCENE_NONE: does not emit */
-    rgb radiance;         /* on the side of the geometric normal */
+    uint32_t emission_texture; /* times radiance; SCENE_NONE: none */
+    rgb radiance;              /* on the side of the geometric normal */
     vec3 center;
     double radius;
     double to_scene[12], from_scene[12]; /* instances */

@@ -264,6 +264,19 @@ static enum err build_instance(struct render_scene *rs, const struct scene *scen
     return ERR_OK;
 }
 
+/* A material's own emission comes on top of the object's; its texture counts on meshes that emit
+ * by the material alone. */
+static void add_material_emission(const struct scene *scene, const struct scene_object *o,
+                                  struct render_object *out)
+{
+    if (o->material == SCENE_NONE)
+        return;
+    const struct scene_material *m = &scene->materials[o->material];
+    out->radiance = rgb_add(out->radiance, rgb_of(m->emission));
+    if (o->type == SCENE_OBJECT_MESH && !o->emits && scene->meshes[o->mesh].uvs)
+        out->emission_texture = m->emission_texture;
+}
+
 static enum err build_object(struct render_scene *rs, const struct scene *scene,
                              const struct scene_object *o, struct mesh_use *use,
                              struct render_object *out)
@@ -271,6 +284,8 @@ static enum err build_object(struct render_scene *rs, const struct scene *scene,
     out->material = o->material == SCENE_NONE ? (uint32_t)scene->material_count : o->material;
     out->light_begin = SCENE_NONE;
     out->radiance = o->emits ? rgb_of(o->radiance) : rgb_grey(0);
+    out->emission_texture = SCENE_NONE;
+    add_material_emission(scene, o, out);
     if (o->type == SCENE_OBJECT_SPHERE) {
         out->type = ACCEL_SPHERE;
         out->center = v3_scale(v3_sub(v3_of(o->center), v3_of(rs->center)), rs->scale);

@@ -1,6 +1,7 @@
 #include "worker/scene/scene_parts.h"
 
 #include "common/dmath.h"
+#include "worker/render/warp.h"
 
 enum {
     /* The sky is tabulated at its image's resolution up to this, and this coarse without an image.
@@ -12,6 +13,9 @@ enum {
 /* A share of the sky's density that no texel goes without, so that a light between the places
  * where the table looked is found. */
 static const double SKY_FLOOR = 0.001;
+
+/* The least that a textured light counts, of what it would without its texture. */
+static const double TEXTURE_FLOOR = 0.01;
 
 /* Two triangles of a mesh count as one parallelogram when the fourth corner is off by no more than
  * this many units in the last place of the coordinates. */
@@ -80,17 +84,49 @@ static bool quad_light(const struct render_mesh *m, size_t t, struct light *l)
     return false;
 }
 
+static void texture_light(const struct render_mesh *m, size_t triangle,
+                          const struct texture *texture, struct light *l)
+{
+    l->texture = texture;
+    for (size_t k = 0; k < 3; k++) {
+        const float *uv = m->uvs + 2 * (size_t)m->indices[3 * triangle + k];
+        l->uv[2 * k] = uv[0];
+        l->uv[2 * k + 1] = uv[1];
+    }
+}
+
+/* Mean luminance of a light with a texture, from a few points; never zero, since what the points
+ * miss may shine. */
+static double textured_luminance(const struct light *l)
+{
+    enum { SIDE = 4 };
+    double sum = 0;
+    for (int k = 0; k < SIDE * SIDE; k++) {
+        double b1, b2;
+        warp_triangle((k % SIDE + 0.5) / SIDE, (k / SIDE + 0.5) / SIDE, &b1, &b2);
+        sum += rgb_luminance(light_emission(l, b1, b2));
+    }
+    double floor_value = TEXTURE_FLOOR * rgb_luminance(l->radiance);
+    double mean = sum / (SIDE * SIDE);
+    return mean > floor_value ? mean : floor_value;
+}
+
 /* Appends the lights of an emitting mesh; light_of[triangle] names each triangle's. */
-static void add_mesh_lights(struct light_table *table, const struct render_mesh *m, rgb radiance,
+static void add_mesh_lights(struct render_scene *rs, const struct render_object *o,
                             uint32_t *light_of)
 {
+    struct light_table *table = &rs->lights;
+    const struct render_mesh *m = &rs->meshes[o->mesh];
+    bool textured = o->emission_texture != SCENE_NONE;
     for (size_t t = 0; t < m->triangle_count; t++) {
         struct light *l = &table->lights[table->count];
         light_of[t] = SCENE_NONE;
-        if (!triangle_light(m, t, radiance, l))
+        if (!triangle_light(m, t, o->radiance, l))
             continue;
         light_of[t] = (uint32_t)table->count;
-        if (t + 1 < m->triangle_count && quad_light(m, t, l))
+        if (textured)
+            texture_light(m, t, &rs->textures[o->emission_texture], l);
+        else if (t + 1 < m->triangle_count && quad_light(m, t, l))
             light_of[++t] = (uint32_t)table->count;
         table->count++;
     }
@@ -139,7 +175,7 @@ static double light_power(const struct light *l, const struct environment *sky)
         return 4 * VEC_PI * VEC_PI * value * mean;
     }
     default:
-        return VEC_PI * l->area * value;
+        return VEC_PI * l->area * (l->texture ? textured_luminance(l) : value);
     }
 }
 
@@ -284,7 +320,7 @@ enum err scene_build_lights(struct render_scene *rs, const struct scene *scene)
             *light_of = (uint32_t)t->count;
             t->lights[t->count++] = sphere_light(o);
         } else {
-            add_mesh_lights(t, &rs->meshes[o->mesh], o->radiance, light_of);
+            add_mesh_lights(rs, o, light_of);
         }
     }
     t->any_hittable = t->count > 0 || t->environment.present;

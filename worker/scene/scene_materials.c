@@ -114,7 +114,8 @@ static void make_material(const struct scene *scene, const struct scene_material
     out->is_anisotropic = from->alpha_x != from->alpha_y;
     out->needs_uv = out->texture != SCENE_NONE || out->is_anisotropic ||
                     out->metallic_roughness_texture != SCENE_NONE ||
-                    out->transmission_texture != SCENE_NONE || out->normal_texture != SCENE_NONE;
+                    out->transmission_texture != SCENE_NONE || out->normal_texture != SCENE_NONE ||
+                    from->emission_texture != SCENE_NONE;
 }
 
 enum err scene_build_materials(struct render_scene *rs, const struct scene *scene)
