@@ -3,3 +3,9 @@ tilery_test(test_transport LABEL render LINKS tl_worker
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_transport.c ${render_kit})
 tilery_test(test_bsdf LABEL render LINKS tl_render m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_bsdf.c)
+tilery_test(test_sampler LABEL render LINKS tl_render m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_sampler.c)
+tilery_test(test_light LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_light.c ${render_kit})
+tilery_test(test_identity LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_identity.c ${render_kit})

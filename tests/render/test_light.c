@@ -1,0 +1,213 @@
+/* Lights: samples have the density that light_pdf claims, and the densities integrate to what the
+ * light covers; film filters and warps keep their promises. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <math.h>
+#include <string.h>
+
+#include "common/dmath.h"
+#include "common/mem.h"
+#include "tests/render/render_kit.h"
+#include "tests/render/stats.h"
+#include "worker/render/render_scene.h"
+#include "worker/render/sampler.h"
+#include "worker/render/warp.h"
+#include "worker/scene/scene_build.h"
+
+static double random_value(uint64_t *state)
+{
+    *state += UINT64_C(0x9e3779b97f4a7c15);
+    return (double)(sampler_mix(*state) >> 11) / 9007199254740992.0;
+}
+
+/* A lamp of each kind, and a sky with a pattern. */
+static struct render_scene *lamps(bool sky)
+{
+    static const double quad[12] = {-1, 2, -1, 1, 2, -1, 1.2, 2.1, 1, -0.8, 2.1, 1};
+    struct scene s;
+    scene_init(&s);
+    kit_emit(&s, kit_quad(&s, quad, SCENE_NONE), 1, 1, 1);
+    kit_emit(&s, kit_sphere(&s, 2, 0, 0, 0.7, SCENE_NONE), 1, 1, 1);
+    if (sky) {
+        kit_constant_sky(&s, 1);
+        struct scene_texture *t = &s.textures[s.envmap.texture];
+        t->type = SCENE_TEXTURE_CHECKERBOARD;
+        for (int k = 0; k < 3; k++) {
+            t->color[0][k] = 0.2;
+            t->color[1][k] = 3;
+        }
+        t->uv_matrix[0] = 3;
+        t->uv_matrix[4] = 2;
+    }
+    struct job_spec spec = kit_spec(4, 1);
+    struct render_scene *rs;
+    assert_int_equal(scene_build(&s, &spec, NULL, &rs), ERR_OK);
+    scene_release(&s);
+    return rs;
+}
+
+/* Density of light_sample from p in direction w, over all lights that w meets. */
+static double density(const struct render_scene *rs, vec3 p, vec3 w)
+{
+    double pdf = 0, sky;
+    for (uint32_t i = 0; i < rs->lights.count; i++) {
+        const struct light *l = &rs->lights.lights[i];
+        if (l->type == LIGHT_ENVIRONMENT)
+            continue;
+        if (l->type == LIGHT_SPHERE) {
+            vec3 d = v3_sub(l->v0, p);
+            double along = v3_dot(d, w);
+            if (along > 0 && v3_dot(d, d) - along * along < l->radius * l->radius)
+                pdf += light_pdf(&rs->lights, i, p, 1, 1);
+            continue;
+        }
+        double cosine = -v3_dot(l->n, w);
+        double t = v3_dot(v3_sub(l->v0, p), l->n) / -cosine;
+        vec3 q = v3_sub(v3_mad(p, w, t), l->v0);
+        double a = v3_dot(v3_cross(q, l->e2), l->n) / l->area;
+        double b = v3_dot(v3_cross(l->e1, q), l->n) / l->area;
+        bool in = l->type == LIGHT_QUAD && a >= 0 && a <= 1 && b >= 0 && b <= 1;
+        if (cosine > 0 && t > 0 && in)
+            pdf += light_pdf(&rs->lights, i, p, t * t, cosine);
+    }
+    (void)environment_radiance(&rs->lights, w, &sky);
+    return pdf + sky;
+}
+
+enum { ROWS = 24, COLUMNS = 48, SAMPLES = 200000, QUADRATURE = 16 };
+
+static vec3 sphere_point(double row, double column)
+{
+    double z = -1 + 2 * row / ROWS, s, c;
+    double r = sqrt(1 - z * z);
+    dmath_sincos(column / COLUMNS * 2 * VEC_PI, &s, &c);
+    return v3(r * c, r * s, z);
+}
+
+static void samples_have_the_density(void **state)
+{
+    (void)state;
+    static double expected[ROWS * COLUMNS], observed[ROWS * COLUMNS];
+    for (int sky = 0; sky < 2; sky++) {
+        struct render_scene *rs = lamps(sky);
+        assert_int_equal(rs->lights.count, sky ? 3 : 2);
+        vec3 p = v3(0.1, -0.2, 0.05);
+        double total = 0;
+        memset(observed, 0, sizeof observed);
+        for (int i = 0; i < ROWS * COLUMNS; i++) {
+            double sum = 0;
+            for (int k = 0; k < QUADRATURE * QUADRATURE; k++)
+                sum += density(rs, p,
+                               sphere_point(i / COLUMNS + (k / QUADRATURE + 0.5) / QUADRATURE,
+                                            i % COLUMNS + (k % QUADRATURE + 0.5) / QUADRATURE));
+            double mass = sum / (QUADRATURE * QUADRATURE) * 4 * VEC_PI / (ROWS * COLUMNS);
+            expected[i] = mass * SAMPLES;
+            total += mass;
+        }
+        assert_true(fabs(total - 1) < 0.01);
+        uint64_t random = 1;
+        for (int i = 0; i < SAMPLES; i++) {
+            struct light_sample s;
+            double u[3] = {random_value(&random), random_value(&random), random_value(&random)};
+            assert_true(light_sample(&rs->lights, p, u[0], u[1], u[2], &s));
+            assert_true(fabs(v3_length(s.wi) - 1) < 1e-12);
+            double phi = dmath_atan2(s.wi.y, s.wi.x) / (2 * VEC_PI);
+            int row = (int)((s.wi.z + 1) / 2 * ROWS);
+            int column = (int)((phi < 0 ? phi + 1 : phi) * COLUMNS);
+            observed[(row < ROWS ? row : ROWS - 1) * COLUMNS +
+                     (column < COLUMNS ? column : COLUMNS - 1)]++;
+        }
+        /* The quadrature of a lamp's outline is off by up to a part in a hundred of a cell. */
+        for (int i = 0; i < ROWS * COLUMNS; i++) {
+            double slack = 0.02 * expected[i] + 0.01 * SAMPLES / 64.0;
+            double d = fabs(observed[i] - expected[i]);
+            assert_true(d <= slack + 6 * sqrt(expected[i]));
+        }
+        render_scene_free(rs);
+    }
+}
+
+/* The tabulated sky against uniform directions: the same integral. */
+static void sky_is_the_same_both_ways(void **state)
+{
+    (void)state;
+    struct render_scene *rs = lamps(true);
+    const struct light_table *t = &rs->lights;
+    uint64_t random = 5;
+    double uniform = 0, drawn = 0;
+    enum { N = 400000 };
+    int drawn_count = 0;
+    for (int i = 0; i < N; i++) {
+        double pdf, a = random_value(&random), b = random_value(&random);
+        uniform += environment_radiance(t, warp_sphere(a, b), &pdf).g * 4 * VEC_PI / N;
+        struct light_sample s;
+        double choose = 1 - t->lights[t->environment_light].probability * random_value(&random);
+        if (choose >= 1)
+            continue;
+        assert_true(light_sample(t, v3(0, 0, 0), choose, a, b, &s));
+        if (!s.distant)
+            continue;
+        rgb seen = environment_radiance(t, s.wi, &pdf);
+        assert_true(fabs(pdf / s.pdf - 1) < 1e-6 || fabs(seen.g - s.radiance.g) > 0);
+        drawn += s.radiance.g / s.pdf * t->lights[t->environment_light].probability;
+        drawn_count++;
+    }
+    drawn /= drawn_count;
+    assert_true(fabs(drawn / uniform - 1) < 0.01);
+    render_scene_free(rs);
+}
+
+/* Mean weight 1, and weighted samples have the filter's moments. */
+static void filters_are_drawn_as_they_are(void **state)
+{
+    (void)state;
+    for (int type = 0; type < JOB_FILTER_COUNT; type++) {
+        struct job_spec spec = kit_spec(4, 1);
+        spec.filter = (enum job_filter)type;
+        spec.filter_radius = type == JOB_FILTER_BOX ? 0.5 : 2;
+        struct film_filter f;
+        film_filter_init(&f, &spec);
+        double mean = 0, first = 0, second = 0, exact = 0, norm = 0;
+        enum { N = 100000 };
+        for (int i = 0; i < N; i++) {
+            double w, x = film_filter_sample(&f, (i + 0.5) / N, &w);
+            assert_true(fabs(x) <= spec.filter_radius);
+            mean += w / N;
+            first += w * x / N;
+            second += w * x * x / N;
+            double y = spec.filter_radius * (2 * (i + 0.5) / N - 1);
+            norm += film_filter_value(&f, y) / N;
+            exact += film_filter_value(&f, y) * y * y / N;
+        }
+        assert_true(fabs(mean - 1) < 1e-4);
+        assert_true(fabs(first) < 1e-4);
+        assert_true(fabs(second - exact / norm) < 1e-3);
+    }
+}
+
+static void polynomials_are_sines(void **state)
+{
+    (void)state;
+    for (int i = 0; i <= 100000; i++) {
+        double s, c, u = i / 100001.0;
+        warp_sincos_turn(u, &s, &c);
+        assert_true(fabs(s - sin(2 * VEC_PI * u)) < 1e-15);
+        assert_true(fabs(c - cos(2 * VEC_PI * u)) < 1e-15);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(samples_have_the_density),
+        cmocka_unit_test(sky_is_the_same_both_ways),
+        cmocka_unit_test(filters_are_drawn_as_they_are),
+        cmocka_unit_test(polynomials_are_sines),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

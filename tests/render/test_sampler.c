@@ -1,0 +1,219 @@
+/* The samplers: in range, stratified, uncorrelated between dimensions, pixels and halves. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <math.h>
+#include <string.h>
+
+#include "common/mem.h"
+#include "worker/render/sampler.h"
+#include "worker/render/sobol.h"
+
+enum { DIMENSIONS = 256, SETS = DIMENSIONS / SAMPLER_SET_VALUES };
+
+static const enum job_sampler types[] = {JOB_SAMPLER_SOBOL, JOB_SAMPLER_HALTON,
+                                         JOB_SAMPLER_INDEPENDENT};
+
+/* values[d * count + i]: dimension d of sample i, minus 1/2. */
+static void fill(enum job_sampler type, uint32_t x, uint32_t half, size_t count, double *values)
+{
+    for (size_t i = 0; i < count; i++) {
+        struct sampler s = sampler_of(type, 1, x, 3, half, i);
+        for (uint32_t set = 0; set < SETS; set++) {
+            double u[SAMPLER_SET_VALUES];
+            sampler_set(&s, set, u);
+            for (size_t k = 0; k < SAMPLER_SET_VALUES; k++) {
+                assert_true(u[k] >= 0 && u[k] < 1);
+                values[(set * SAMPLER_SET_VALUES + k) * count + i] = u[k] - 0.5;
+            }
+        }
+    }
+}
+
+static double correlation(const double *a, const double *b, size_t count)
+{
+    double ab = 0, aa = 0, bb = 0;
+    for (size_t i = 0; i < count; i++) {
+        ab += a[i] * b[i];
+        aa += a[i] * a[i];
+        bb += b[i] * b[i];
+    }
+    return ab / sqrt(aa * bb);
+}
+
+/* T23: over `pixels` independent scrambles, the mean correlation of each pair of dimensions stays
+ * within what chance gives. A sampler that used one dimension twice has correlation 1. */
+static void pairs_are_uncorrelated(void **state)
+{
+    (void)state;
+    static const size_t counts[] = {16, 256};
+    for (size_t t = 0; t < 3; t++) {
+        for (size_t c = 0; c < 2; c++) {
+            enum { PIXELS = 16 };
+            size_t n = counts[c];
+            double *values = mem_alloc_array(DIMENSIONS * n, sizeof *values);
+            double *sums = mem_calloc(DIMENSIONS * DIMENSIONS, sizeof *sums);
+            assert_non_null(values);
+            assert_non_null(sums);
+            for (uint32_t pixel = 0; pixel < PIXELS; pixel++) {
+                fill(types[t], pixel, 0, n, values);
+                for (size_t a = 0; a < DIMENSIONS; a++)
+                    for (size_t b = 0; b < a; b++)
+                        sums[a * DIMENSIONS + b] += correlation(values + a * n, values + b * n, n);
+            }
+            /* 32,640 pairs: 6 sigma is a chance of 1e-4 over all of them. */
+            double bound = 6 / sqrt((double)n * PIXELS);
+            for (size_t a = 0; a < DIMENSIONS; a++)
+                for (size_t b = 0; b < a; b++)
+                    assert_true(fabs(sums[a * DIMENSIONS + b] / PIXELS) <= bound);
+            mem_free(values);
+            mem_free(sums);
+        }
+    }
+}
+
+/* Between halves and between neighbouring pixels nothing is shared. One pair of scrambles of the
+ * same structure may correlate by anything up to 1; the mean over many must not. */
+static void halves_and_pixels_are_independent(void **state)
+{
+    (void)state;
+    enum { N = 16, REPEATS = 256 };
+    double *a = mem_alloc_array(DIMENSIONS * N, sizeof *a);
+    double *b = mem_alloc_array(DIMENSIONS * N, sizeof *b);
+    for (size_t t = 0; t < 3; t++) {
+        for (int other_half = 0; other_half < 2; other_half++) {
+            double sum[DIMENSIONS] = {0};
+            for (uint32_t r = 0; r < REPEATS; r++) {
+                fill(types[t], 2 * r, 0, N, a);
+                fill(types[t], 2 * r + (other_half ? 0 : 1), other_half ? 1 : 0, N, b);
+                for (size_t d = 0; d < DIMENSIONS; d++)
+                    sum[d] += correlation(a + d * N, b + d * N, N) / REPEATS;
+            }
+            for (size_t d = 0; d < DIMENSIONS; d++)
+                assert_true(fabs(sum[d]) <= 6 / sqrt((double)REPEATS));
+        }
+    }
+    mem_free(a);
+    mem_free(b);
+}
+
+/* Any aligned run of 2^k samples has one value in each of 2^k intervals, in every dimension, and
+ * the first two of a set one in each elementary box. */
+static void sobol_is_a_net(void **state)
+{
+    (void)state;
+    enum { LOG = 6, N = 1 << LOG };
+    static const uint64_t begins[] = {
+        0, N, 65536 - N, 65536, UINT64_C(1) << 32, (UINT64_C(1) << 40) + 3 * N};
+    for (size_t run = 0; run < sizeof begins / sizeof *begins; run++) {
+        for (uint32_t set = 0; set < 8; set++) {
+            bool seen[SAMPLER_SET_VALUES][N] = {{0}}, boxes[LOG + 1][N] = {{0}};
+            for (uint64_t i = 0; i < N; i++) {
+                struct sampler s = sampler_of(JOB_SAMPLER_SOBOL, 9, 5, 6, 1, begins[run] + i);
+                double u[SAMPLER_SET_VALUES];
+                sampler_set(&s, set, u);
+                for (size_t k = 0; k < SAMPLER_SET_VALUES; k++) {
+                    size_t at = (size_t)(u[k] * N);
+                    assert_false(seen[k][at]);
+                    seen[k][at] = true;
+                }
+                for (uint32_t split = 0; split <= LOG; split++) {
+                    size_t x = (size_t)(u[0] * (1u << split));
+                    size_t y = (size_t)(u[1] * (1u << (LOG - split)));
+                    assert_false(boxes[split][x << (LOG - split) | y]);
+                    boxes[split][x << (LOG - split) | y] = true;
+                }
+            }
+        }
+    }
+}
+
+static uint32_t reversed(uint32_t v)
+{
+    uint32_t r = 0;
+    for (int i = 0; i < 32; i++)
+        r |= (v >> i & 1) << (31 - i);
+    return r;
+}
+
+/* The table is what Joe and Kuo's numbers give. */
+static void sobol_table_follows_the_recurrence(void **state)
+{
+    (void)state;
+    static const uint32_t degree[4] = {0, 1, 2, 3}, inner[4] = {0, 0, 1, 1};
+    static const uint32_t first[4][3] = {{0}, {1}, {1, 3}, {1, 3, 1}};
+    for (size_t d = 0; d < 4; d++) {
+        uint32_t v[32];
+        for (uint32_t i = 0; i < 32; i++) {
+            uint32_t s = degree[d];
+            if (d == 0)
+                v[i] = 1u << (31 - i);
+            else if (i < s)
+                v[i] = first[d][i] << (31 - i);
+            else {
+                v[i] = v[i - s] ^ v[i - s] >> s;
+                for (uint32_t k = 1; k < s; k++)
+                    v[i] ^= (inner[d] >> (s - 1 - k) & 1) * v[i - k];
+            }
+        }
+        for (uint32_t digit = 0; digit < 8; digit++) {
+            for (uint32_t value = 0; value < 16; value++) {
+                uint32_t x = 0;
+                for (uint32_t bit = 0; bit < 4; bit++)
+                    x ^= (value >> bit & 1) * v[4 * digit + bit];
+                assert_int_equal(sobol_digits[digit][value][d], reversed(x));
+            }
+        }
+    }
+}
+
+/* Halton's first digits of each dimension go through all values before any comes again. */
+static void halton_is_stratified(void **state)
+{
+    (void)state;
+    static const uint32_t base[4] = {2, 3, 5, 7};
+    for (uint32_t k = 0; k < 4; k++) {
+        uint32_t seen = 0;
+        for (uint64_t i = 0; i < base[k]; i++) {
+            struct sampler s = sampler_of(JOB_SAMPLER_HALTON, 4, 1, 1, 0, i);
+            double u[SAMPLER_SET_VALUES];
+            sampler_set(&s, 0, u);
+            seen |= 1u << (uint32_t)(u[k] * base[k]);
+        }
+        assert_int_equal(seen, (1u << base[k]) - 1);
+    }
+}
+
+/* Indices at and beyond 2^31 and 2^32 are as good as any. */
+static void large_indices_continue(void **state)
+{
+    (void)state;
+    for (size_t t = 0; t < 3; t++) {
+        double last = -1;
+        for (uint64_t i = 0; i < 64; i++) {
+            static const uint64_t bases[] = {0x7ffffff0u, 0xfffffff0u, UINT64_C(1) << 39};
+            struct sampler s = sampler_of(types[t], 1, 65534, 65534, 1, bases[i % 3] + i);
+            double u[SAMPLER_SET_VALUES];
+            sampler_set(&s, 1u << 20, u);
+            assert_true(u[0] >= 0 && u[0] < 1 && u[0] != last);
+            last = u[0];
+        }
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(pairs_are_uncorrelated),
+        cmocka_unit_test(halves_and_pixels_are_independent),
+        cmocka_unit_test(sobol_is_a_net),
+        cmocka_unit_test(sobol_table_follows_the_recurrence),
+        cmocka_unit_test(halton_is_stratified),
+        cmocka_unit_test(large_indices_continue),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
