@@ -133,21 +133,36 @@ static uint32_t permute(uint32_t value, uint32_t count, uint32_t seed)
     return (value + seed) % count;
 }
 
+/* Base 2: the index's bits are the digits, first digit lowest; one hash scrambles them all. Every
+ * 2^32 indices start a fresh scramble. */
+static double van_der_corput(uint64_t hash, uint64_t index)
+{
+    uint32_t seed = (uint32_t)sampler_mix(hash + (index >> 32));
+    uint32_t digits = scramble_one((uint32_t)index, seed);
+    digits = reverse_16(digits >> 16) | reverse_16(digits & 0xffff) << 16;
+    return (double)digits * unit_32;
+}
+
 /* Radical inverse with each digit permuted by a hash of the digits before it. Digits beyond the
- * index's own are zeros, permuted as well, down to the resolution of a double. */
+ * index's own are zeros, permuted as well, as long as another index below 2^16 may tell them
+ * apart; what is finer is drawn at once. */
 static double halton_value(uint64_t key, uint64_t index, uint32_t dimension)
 {
+    const double scale_fine = 0x1p-16;
     uint32_t base = primes[dimension];
     uint64_t hash = sampler_mix(key + (uint64_t)dimension * UINT64_C(0x9e3779b97f4a7c15));
+    if (base == 2)
+        return van_der_corput(hash, index);
     double scale = 1.0, sum = 0;
     double inverse = 1.0 / base;
-    while (scale > unit_53) {
+    while (index || scale > scale_fine) {
         uint32_t digit = (uint32_t)(index % base);
         index /= base;
         scale *= inverse;
         sum += scale * permute(digit, base, (uint32_t)(hash >> 32));
         hash = sampler_mix(hash + digit + 1);
     }
+    sum += scale * ((double)(hash >> 11) * unit_53);
     return sum < below_one ? sum : below_one;
 }
 
