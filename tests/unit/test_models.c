@@ -1,0 +1,341 @@
+/* OBJ and PLY: forms, polygons, refusals with their line; the models of the data folder. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "common/buf.h"
+#include "common/mem.h"
+#include "common/model_file.h"
+#include "common/obj_mesh.h"
+#include "common/ply_file.h"
+#include "common/polygon.h"
+#include "tests/unit/problem_check.h"
+
+struct loaded {
+    struct scene_mesh mesh;
+    struct diag_list problems;
+    enum err e;
+};
+
+static void load_obj(struct loaded *l, const char *text)
+{
+    struct obj_model model;
+    diag_init(&l->problems);
+    l->mesh = (struct scene_mesh){0};
+    l->e = obj_read(text, strlen(text), "m.obj", &model, &l->problems);
+    if (l->e != ERR_OK)
+        return;
+    if (model.triangle_count)
+        l->e = obj_mesh(&model, OBJ_MATERIAL_ALL, &l->mesh);
+    obj_release(&model);
+}
+
+static void load_ply(struct loaded *l, const void *data, size_t bytes)
+{
+    diag_init(&l->problems);
+    l->mesh = (struct scene_mesh){0};
+    l->e = ply_read_mesh(data, bytes, "m.ply", &l->mesh, &l->problems);
+}
+
+static void unload(struct loaded *l)
+{
+    scene_mesh_release(&l->mesh);
+    diag_release(&l->problems);
+}
+
+static double mesh_area(const struct scene_mesh *m)
+{
+    double sum = 0;
+    for (size_t t = 0; t < m->triangle_count; t++) {
+        const double *a = m->positions + 3 * m->indices[3 * t];
+        const double *b = m->positions + 3 * m->indices[3 * t + 1];
+        const double *c = m->positions + 3 * m->indices[3 * t + 2];
+        double u[3], v[3];
+        for (int i = 0; i < 3; i++) {
+            u[i] = b[i] - a[i];
+            v[i] = c[i] - a[i];
+        }
+        double x = u[1] * v[2] - u[2] * v[1], y = u[2] * v[0] - u[0] * v[2];
+        double z = u[0] * v[1] - u[1] * v[0];
+        sum += sqrt(x * x + y * y + z * z) / 2;
+    }
+    return sum;
+}
+
+static void obj_forms_are_read(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load_obj(&l,
+             "# c\r\nmtllib a b.mtl\r\no thing\n v 0 0 0 1 0 0\nv 1 0 0\nv +1 .5e0 0.\nv 0 1e0 0\n"
+             "vt 0 1\nvt 0.5\nvn 0 0 2\nusemtl red paint\ns 1\nf 1/1/1 2/2/1 \\\n 3//1 4/1\n"
+             "l 1 2\np 1\ng a b\nf -4 -3 -2 # end");
+    assert_int_equal(l.e, ERR_OK);
+    assert_int_equal(l.mesh.triangle_count, 3);
+    assert_int_equal(l.mesh.vertex_count, 7); /* 1, 2, 3, 4 as in the quad; 1, 2, 3 bare */
+    assert_true(l.mesh.normals[2] == 1);      /* made unit */
+    assert_true(l.mesh.uvs[1] == 1);
+    unload(&l);
+}
+
+static void obj_keeps_double_coordinates(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load_obj(&l, "v 1000000.123456789 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3");
+    assert_int_equal(l.e, ERR_OK);
+    assert_true(l.mesh.positions[0] == 1000000.123456789);
+    unload(&l);
+}
+
+static void obj_problems_have_their_line(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *text, *id;
+        uint64_t line;
+    } cases[] = {
+        {"v 0 0 0\nv 0 nan 0\n", "not-finite", 2},
+        {"v 0 0 0\nv 0 1e999 0\n", "not-finite", 2},
+        {"v 0 0\n", "not-finite", 1},
+        {"v a b c\n", "not-finite", 1},
+        {"v 0 0 0\nv 0 1 0\nv 1 0 0\n\nf 1 2 4\n", "index-out-of-range", 5},
+        {"v 0 0 0\nv 0 1 0\nv 1 0 0\nf 1 2 0\n", "index-out-of-range", 4},
+        {"v 0 0 0\nv 0 1 0\nv 1 0 0\nf 1 2 -4\n", "index-out-of-range", 4},
+        {"v 0 0 0\nf 1 2 99999999999\n", "index-out-of-range", 2},
+        {"v 0 0 0\nf 1 b 1\n", "obj-syntax", 2},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct loaded l;
+        load_obj(&l, cases[i].text);
+        const struct diag *d = problem_find(&l.problems, cases[i].id, "m.obj");
+        if (l.e != ERR_INPUT || !d || d->line != cases[i].line)
+            fail_msg("not refused as %s: %s", cases[i].id, cases[i].text);
+        unload(&l);
+    }
+}
+
+static void obj_survives_small_faults_with_a_warning(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load_obj(&l, "v 0 0 0\nv 1 0 0x\nv 0 1 0\nf 1 2\nf 1/7/7 2 3\n");
+    assert_int_equal(l.e, ERR_OK);
+    assert_int_equal(l.mesh.triangle_count, 1);
+    assert_null(l.mesh.uvs);
+    assert_int_equal(l.problems.warning_count, 3);
+    unload(&l);
+}
+
+static void obj_vertices_may_come_later(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load_obj(&l, "f 1 2 3 4\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n");
+    assert_int_equal(l.e, ERR_OK);
+    assert_true(mesh_area(&l.mesh) == 1);
+    unload(&l);
+}
+
+/* The triangles of a concave outline cover it once: their areas sum to its area. */
+static void concave_polygons_are_cut_along_their_shape(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load_obj(&l, "v 0 0 0\nv 4 0 0\nv 4 4 0\nv 2 1 0\nv 0 4 0\nf 1 2 3 4 5\n");
+    assert_int_equal(l.mesh.triangle_count, 3);
+    assert_true(fabs(mesh_area(&l.mesh) - 10) < 1e-12);
+    unload(&l);
+    load_obj(&l, "v 0 0 0\nv 4 0 0\nv 4 4 0\nv 2 1 0\nv 0 4 0\nf 5 4 3 2 1\n");
+    assert_true(fabs(mesh_area(&l.mesh) - 10) < 1e-12);
+    unload(&l);
+    /* A comb in the plane x = z, every tooth a notch. */
+    double points[3 * 202];
+    size_t n = 0;
+    for (int i = 0; i <= 100; i++, n += 3) {
+        points[n] = points[n + 2] = i;
+        points[n + 1] = i % 2 ? 9 : 1;
+    }
+    points[n] = points[n + 2] = 100;
+    points[n + 1] = 0;
+    points[n + 3] = points[n + 4] = points[n + 5] = 0;
+    size_t corners = n / 3 + 2;
+    uint32_t triangles[200][3];
+    assert_true(corners - 2 <= 200);
+    polygon_split(points, corners, triangles);
+    double area = 0;
+    for (size_t t = 0; t < corners - 2; t++) {
+        const double *a = points + 3 * triangles[t][0], *b = points + 3 * triangles[t][1];
+        const double *c = points + 3 * triangles[t][2];
+        area += fabs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / 2;
+    }
+    assert_true(fabs(area - 500) < 1e-9);
+}
+
+static void hostile_polygons_end(void **state)
+{
+    (void)state;
+    enum { CORNERS = 1000 };
+    static double points[3 * CORNERS];
+    static uint32_t triangles[CORNERS][3];
+    memset(points, 0, sizeof points);
+    polygon_split(points, CORNERS, triangles);
+    for (size_t i = 0; i < CORNERS; i++) { /* a self-crossing star */
+        points[3 * i] = (double)(i * 7919 % CORNERS);
+        points[3 * i + 1] = (double)(i * i * 31 % CORNERS);
+    }
+    polygon_split(points, CORNERS, triangles);
+    for (size_t t = 0; t < CORNERS - 2; t++)
+        for (int j = 0; j < 3; j++)
+            assert_true(triangles[t][j] < CORNERS);
+}
+
+static const char ply_header[] = "element vertex 4\nproperty double x\nproperty double y\n"
+                                 "property double z\nelement face 1\n"
+                                 "property list uchar int vertex_indices\nend_header\n";
+
+static void put_scalar(struct buf *b, const void *v, size_t bytes, bool big)
+{
+    const unsigned char *p = v;
+    for (size_t i = 0; i < bytes; i++)
+        buf_put_u8(b, p[big ? bytes - 1 - i : i]);
+}
+
+static void ply_gives_the_same_in_every_form(void **state)
+{
+    (void)state;
+    static const double square[12] = {0, 0, 0, 1.25, 0, 0, 1.25, 2, 0, 0, 2, 0.1};
+    for (int form = 0; form < 3; form++) {
+        static const char *const names[] = {"ascii", "binary_little_endian", "binary_big_endian"};
+        struct buf b;
+        struct loaded l;
+        buf_init(&b);
+        buf_printf(&b, "ply\nformat %s 1.0\ncomment x\n%s", names[form], ply_header);
+        for (int i = 0; i < 12; i++)
+            if (form == 0)
+                buf_printf(&b, "%.17g%s", square[i], i % 3 == 2 ? " 7 7\n" : " ");
+            else
+                put_scalar(&b, &square[i], 8, form == 2);
+        if (form == 0)
+            buf_printf(&b, "4 0 1 2 3\n");
+        else
+            buf_put_u8(&b, 4);
+        for (int32_t i = 0; form != 0 && i < 4; i++)
+            put_scalar(&b, &i, 4, form == 2);
+        load_ply(&l, b.data, b.bytes);
+        assert_int_equal(l.e, ERR_OK);
+        assert_int_equal(l.mesh.triangle_count, 2);
+        assert_memory_equal(l.mesh.positions, square, sizeof square);
+        unload(&l);
+        for (size_t cut = 0; cut + 1 < b.bytes; cut++) { /* any shorter file is refused */
+            load_ply(&l, b.data, cut);
+            assert_true(l.e == ERR_INPUT || form == 0);
+            unload(&l);
+        }
+        buf_release(&b);
+    }
+}
+
+static void ply_problems_are_named(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *text, *id;
+    } cases[] = {
+        {"", "ply-header"},
+        {"plx\n", "ply-header"},
+        {"ply\nend_header\n", "ply-header"},
+        {"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n",
+         "ply-header"},
+        {"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "ply-header"},
+        {"ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\n"
+         "property float z\nend_header\n0 0 0\n",
+         "ply-data"},
+        {"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+         "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+         "0 0 0\n3 0 0 1\n",
+         "index-out-of-range"},
+        {"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+         "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+         "0 0 1e999\n3 0 0 0\n",
+         "not-finite"},
+        {"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+         "property float z\nend_header\n0 0 0\n",
+         "empty-mesh"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct loaded l;
+        load_ply(&l, cases[i].text, strlen(cases[i].text));
+        if (l.e != ERR_INPUT || !problem_find(&l.problems, cases[i].id, "m.ply"))
+            fail_msg("not refused as %s: %s", cases[i].id, cases[i].text);
+        unload(&l);
+    }
+}
+
+static void ply_faces_may_come_first(void **state)
+{
+    (void)state;
+    struct loaded l;
+    const char *text = "ply\nformat ascii 1.0\nelement face 1\n"
+                       "property list uchar uint vertex_index\nelement vertex 4\nproperty int x\n"
+                       "property int y\nproperty int z\nend_header\n4 0 1 2 3\n"
+                       "0 0 0\n2 0 0\n2 3 0\n0 3 0\n";
+    load_ply(&l, text, strlen(text));
+    assert_int_equal(l.e, ERR_OK);
+    assert_true(mesh_area(&l.mesh) == 6);
+    unload(&l);
+}
+
+static void outside_models_load(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *path;
+        uint32_t triangles;
+    } models[] = {
+        {"obj/spot/spot_triangulated.obj", 5856},
+        {"obj/spot/spot_quadrangulated.obj", 5856},
+        {"cornell/mcguire/CornellBox-Original.obj", 36},
+        {"ply/happly/platonic_shelf_ascii.ply", 80},
+        {"ply/happly/platonic_shelf_big_endian.ply", 80},
+        {"ply/trimesh/fuze_ascii.ply", 1000},
+        {"ply/tinyply/icosahedron.ply", 20},
+        {"ply/draco/Box.ply", 12},
+    };
+    const char *data = getenv("TILERY_TEST_DATA");
+    if (!data)
+        skip();
+    for (size_t i = 0; i < sizeof models / sizeof *models; i++) {
+        struct loaded l = {0};
+        char *path = mem_sprintf("%s/%s", data, models[i].path);
+        diag_init(&l.problems);
+        assert_int_equal(model_read_mesh(path, path, &l.mesh, &l.problems), ERR_OK);
+        assert_int_equal(l.mesh.triangle_count, models[i].triangles);
+        mem_free(path);
+        unload(&l);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(obj_forms_are_read),
+        cmocka_unit_test(obj_keeps_double_coordinates),
+        cmocka_unit_test(obj_problems_have_their_line),
+        cmocka_unit_test(obj_survives_small_faults_with_a_warning),
+        cmocka_unit_test(obj_vertices_may_come_later),
+        cmocka_unit_test(concave_polygons_are_cut_along_their_shape),
+        cmocka_unit_test(hostile_polygons_end),
+        cmocka_unit_test(ply_gives_the_same_in_every_form),
+        cmocka_unit_test(ply_problems_are_named),
+        cmocka_unit_test(ply_faces_may_come_first),
+        cmocka_unit_test(outside_models_load),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
