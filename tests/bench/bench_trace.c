@@ -1,0 +1,559 @@
+/* bench_trace: our rays against Embree's, side by side in one process.
+ *
+ *   bench_trace [--quick] [--json FILE] [--runs N] [--side N] [--scene NAME]
+ *               [--isa sse2|avx2|avx512] [--embree4 LIBRARY]
+ *               [--mesh FILE.ply --rays FILE [--shadow]]
+ *
+ * Each case times ours (one ray a call, and batches) and Embree (one ray a call,
+ * default and ROBUST) on the same rays in turn, several times; a ratio above 1 means
+ * that ours is faster. Filling each side's ray structures is timed. With --mesh the
+ * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar.
+ */
+#include <errno.h>
+#include <getopt.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/mem.h"
+#include "common/model_file.h"
+#include "common/ply_file.h"
+#include "common/scene.h"
+#include "tests/bench/trace_peer.h"
+
+enum { RUNS_MAX = 99, PEERS_MAX = 4, THREADS_MAX = 2, CHUNK = 1024 };
+
+struct options {
+    bool quick, shadow;
+    int runs;
+    uint32_t side;
+    enum accel_isa isa;
+    const char *json, *scene, *embree4, *mesh, *rays;
+};
+
+struct bench {
+    struct options options;
+    FILE *json;
+    bool first_case;
+    struct trace_peer *peers[THREADS_MAX][PEERS_MAX]; /* [threads - 1] */
+    const char *peer_names[PEERS_MAX];
+    bool peer_robust[PEERS_MAX];
+    int peer_count;
+};
+
+struct ratio {
+    double median, low, high;
+};
+
+/* --- Output ----------------------------------------------------------------- */
+
+static int compare_doubles(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double median_of(double *values, int count)
+{
+    qsort(values, (size_t)count, sizeof *values, compare_doubles);
+    return count % 2 ? values[count / 2] : 0.5 * (values[count / 2 - 1] + values[count / 2]);
+}
+
+static struct ratio ratio_of(const double *top, const double *bottom, int count)
+{
+    double r[RUNS_MAX];
+    for (int i = 0; i < count; i++)
+        r[i] = top[i] / bottom[i];
+    struct ratio out = {median_of(r, count), r[0], r[count - 1]};
+    return out;
+}
+
+static void json_case(struct bench *b, const char *scene, const char *kind, const char *what,
+                      int threads, const char *peer, const char *unit, double ours, double theirs,
+                      const struct ratio *r)
+{
+    if (!b->json)
+        return;
+    fprintf(b->json,
+            "%s\n  {\"scene\": \"%s\", \"%s\": \"%s\", \"threads\": %d, \"peer\": \"%s\", "
+            "\"unit\": \"%s\", \"ours\": %.6g, \"theirs\": %.6g, \"ratio\": {\"median\": %.4f, "
+            "\"min\": %.4f, \"max\": %.4f}, \"runs\": %d}",
+            b->first_case ? "" : ",", scene, kind, what, threads, peer, unit, ours, theirs,
+            r->median, r->low, r->high, b->options.runs);
+    b->first_case = false;
+}
+
+static void machine_name(char *out, size_t bytes)
+{
+    snprintf(out, bytes, "unknown");
+    FILE *f = fopen("/proc/cpuinfo", "r");
+    char line[256];
+    while (f && fgets(line, sizeof line, f)) {
+        char *colon = strchr(line, ':');
+        if (strncmp(line, "model name", 10) == 0 && colon) {
+            colon[strcspn(colon, "\"\\\n")] = 0;
+            snprintf(out, bytes, "%s", colon + 2);
+            break;
+        }
+    }
+    if (f)
+        fclose(f);
+}
+
+/* --- Timing ----------------------------------------------------------------- */
+
+enum side { OURS_SINGLE, OURS_BATCH, THEIRS };
+
+struct work {
+    enum side side;
+    const struct accel *accel;
+    struct trace_peer *peer;
+    const struct trace_rays *rays;
+    bool shadow;
+    size_t begin, end, hits;
+};
+
+static size_t single_count(const struct work *w)
+{
+    size_t hits = 0;
+    for (size_t i = w->begin; i < w->end; i++) {
+        struct ray ray = trace_rays_get(w->rays, i);
+        struct hit hit;
+        if (w->shadow) {
+            hits += accel_occluded(w->accel, &ray);
+        } else {
+            accel_closest(w->accel, &ray, &hit);
+            hits += hit.object != SCENE_NONE;
+        }
+    }
+    return hits;
+}
+
+static size_t batch_count(const struct work *w)
+{
+    struct ray rays[CHUNK];
+    struct hit hits[CHUNK];
+    uint8_t occluded[CHUNK];
+    size_t total = 0;
+    for (size_t i = w->begin; i < w->end; i += CHUNK) {
+        size_t n = w->end - i < CHUNK ? w->end - i : CHUNK;
+        for (size_t j = 0; j < n; j++)
+            rays[j] = trace_rays_get(w->rays, i + j);
+        if (w->shadow)
+            accel_occluded_batch(w->accel, rays, n, occluded);
+        else
+            accel_closest_batch(w->accel, rays, n, hits);
+        for (size_t j = 0; j < n; j++)
+            total += w->shadow ? occluded[j] : hits[j].object != SCENE_NONE;
+    }
+    return total;
+}
+
+static void *work_run(void *arg)
+{
+    struct work *w = arg;
+    if (w->side == OURS_SINGLE)
+        w->hits = single_count(w);
+    else if (w->side == OURS_BATCH)
+        w->hits = batch_count(w);
+    else
+        w->hits = trace_peer_count(w->peer, w->rays, w->begin, w->end, w->shadow);
+    return NULL;
+}
+
+/* Seconds for all rays on some threads. */
+static double work_time(const struct work *whole, int threads, size_t *hits)
+{
+    struct work part[THREADS_MAX];
+    pthread_t thread[THREADS_MAX];
+    double start = trace_seconds();
+    for (int i = 0; i < threads; i++) {
+        part[i] = *whole;
+        part[i].begin = whole->rays->count * (size_t)i / (size_t)threads;
+        part[i].end = whole->rays->count * (size_t)(i + 1) / (size_t)threads;
+        if (i > 0 && pthread_create(&thread[i], NULL, work_run, &part[i]) != 0)
+            abort();
+    }
+    work_run(&part[0]);
+    *hits = part[0].hits;
+    for (int i = 1; i < threads; i++) {
+        pthread_join(thread[i], NULL);
+        *hits += part[i].hits;
+    }
+    return trace_seconds() - start;
+}
+
+/* All ways to trace one set of rays, in turn, `runs` times. */
+static void time_rays(struct bench *b, const char *scene, const char *kind, const struct accel *a,
+                      const struct trace_rays *rays, bool shadow, int threads)
+{
+    enum { WAYS = 2 + PEERS_MAX };
+    double seconds[WAYS][RUNS_MAX], rate[WAYS];
+    size_t hits[WAYS];
+    int ways = 2 + b->peer_count, runs = b->options.runs;
+    if (rays->count == 0)
+        return;
+    for (int run = -1; run < runs; run++)
+        for (int way = 0; way < ways; way++) {
+            struct work w = {way < 2 ? (enum side)way : THEIRS,
+                             a,
+                             way < 2 ? NULL : b->peers[threads - 1][way - 2],
+                             rays,
+                             shadow,
+                             0,
+                             0,
+                             0};
+            seconds[way][run < 0 ? 0 : run] = work_time(&w, threads, &hits[way]);
+        }
+    struct ratio ratio[2][PEERS_MAX];
+    for (int peer = 0; peer < b->peer_count; peer++)
+        for (int ours = 0; ours < 2; ours++)
+            ratio[ours][peer] = ratio_of(seconds[2 + peer], seconds[ours], runs);
+    for (int way = 0; way < ways; way++)
+        rate[way] = (double)rays->count / median_of(seconds[way], runs) * 1e-6;
+    printf("%-10s %-7s %d  %6.2f %6.2f", scene, kind, threads, rate[0], rate[1]);
+    for (int peer = 0; peer < b->peer_count; peer++) {
+        struct ratio *s = &ratio[0][peer], *m = &ratio[1][peer];
+        printf(" | %6.2f  %4.2f (%4.2f-%4.2f)  %4.2f (%4.2f-%4.2f)", rate[2 + peer], s->median,
+               s->low, s->high, m->median, m->low, m->high);
+        char name[64];
+        for (int ours = 0; ours < 2; ours++) {
+            snprintf(name, sizeof name, "%s%s", kind, ours ? "-batch" : "");
+            json_case(b, scene, "rays", name, threads, b->peer_names[peer], "Mrays/s", rate[ours],
+                      rate[2 + peer], &ratio[ours][peer]);
+        }
+    }
+    printf("  %4.1f%%\n", 100.0 * (double)hits[0] / (double)rays->count);
+    if (hits[0] != hits[1])
+        printf("  batch and single differ: %zu and %zu hits\n", hits[1], hits[0]);
+    fflush(stdout);
+}
+
+/* --- Building --------------------------------------------------------------- */
+
+struct pool_job {
+    size_t count;
+    void (*fn)(void *arg, size_t index);
+    void *arg;
+    size_t next;
+};
+
+static void *pool_help(void *arg)
+{
+    struct pool_job *j = arg;
+    size_t i;
+    while ((i = __atomic_fetch_add(&j->next, 1, __ATOMIC_RELAXED)) < j->count)
+        j->fn(j->arg, i);
+    return NULL;
+}
+
+/* Two threads: the caller and one made for the occasion. */
+static void pool_run(void *ctx, size_t count, void (*fn)(void *arg, size_t index), void *arg)
+{
+    (void)ctx;
+    struct pool_job job = {count, fn, arg, 0};
+    pthread_t helper;
+    bool helped = count > 1 && pthread_create(&helper, NULL, pool_help, &job) == 0;
+    pool_help(&job);
+    if (helped)
+        pthread_join(helper, NULL);
+}
+
+static struct accel *build_ours(const struct trace_scene *s, enum accel_isa isa, int threads,
+                                double *seconds)
+{
+    struct accel_options options = {.isa = isa};
+    struct accel_runner runner = {pool_run, NULL, (uint32_t)threads};
+    struct accel *a = NULL;
+    double start = trace_seconds();
+    if (accel_new(&s->input, &options, threads > 1 ? &runner : NULL, &a) != ERR_OK) {
+        fprintf(stderr, "bench_trace: the scene cannot be built\n");
+        exit(5);
+    }
+    *seconds = trace_seconds() - start;
+    return a;
+}
+
+static void print_build(struct bench *b, const char *scene, int threads, const double *ours,
+                        const double *theirs, const char *quality)
+{
+    double mine[RUNS_MAX], other[RUNS_MAX];
+    int runs = b->options.runs;
+    struct ratio r = ratio_of(theirs, ours, runs);
+    memcpy(mine, ours, sizeof mine);
+    memcpy(other, theirs, sizeof other);
+    double m = median_of(mine, runs), t = median_of(other, runs);
+    printf("%-10s build   %d  %.4f s  %s %s %.4f s  ratio %.2f (%.2f-%.2f)\n", scene, threads, m,
+           b->peer_names[0], quality, t, r.median, r.low, r.high);
+    json_case(b, scene, "work", quality, threads, b->peer_names[0], "s", m, t, &r);
+}
+
+/* Builds both sides in turn and leaves the peers with every variant that is traced. */
+static struct accel *time_build(struct bench *b, const char *scene, const struct trace_scene *s,
+                                int threads)
+{
+    double ours[RUNS_MAX], medium[RUNS_MAX], high[RUNS_MAX];
+    struct accel *a = NULL;
+    for (int run = 0; run < b->options.runs; run++) {
+        accel_free(a);
+        a = build_ours(s, b->options.isa, threads, &ours[run]);
+        medium[run] = trace_peer_build(b->peers[threads - 1][0], s, PEER_MEDIUM, false);
+        high[run] = trace_peer_build(b->peers[threads - 1][0], s, PEER_HIGH, false);
+    }
+    for (int p = 0; p < b->peer_count; p++)
+        trace_peer_build(b->peers[threads - 1][p], s, PEER_MEDIUM, b->peer_robust[p]);
+    print_build(b, scene, threads, ours, medium, "build-medium");
+    print_build(b, scene, threads, ours, high, "build-high");
+    struct accel_stats stats;
+    accel_stats_get(a, &stats);
+    double bytes = (double)stats.bytes / (double)s->triangle_count;
+    double theirs = (double)trace_peer_bytes(b->peers[threads - 1][0]) / (double)s->triangle_count;
+    printf("%-10s tree    %d  %.1f bytes/triangle, theirs %.1f; SAH %.2f, depth %llu, %llu nodes, "
+           "%llu leaves, %s\n",
+           scene, threads, bytes, theirs, stats.sah_cost, (unsigned long long)stats.depth_max,
+           (unsigned long long)stats.node_count, (unsigned long long)stats.leaf_count,
+           accel_isa_name(a));
+    struct ratio r = {theirs / bytes, theirs / bytes, theirs / bytes};
+    json_case(b, scene, "work", "bytes", threads, b->peer_names[0], "bytes/triangle", bytes, theirs,
+              &r);
+    return a;
+}
+
+/* --- Cases ------------------------------------------------------------------ */
+
+static void bench_scene(struct bench *b, enum trace_scene_id id)
+{
+    struct trace_scene s;
+    if (trace_scene_make(&s, id) != ERR_OK)
+        exit(5);
+    int threads_max = b->options.quick ? 1 : THREADS_MAX;
+    for (int threads = 1; threads <= threads_max; threads++) {
+        struct accel *a = time_build(b, trace_scene_names[id], &s, threads);
+        for (int kind = 0; kind < TRACE_RAYS_COUNT; kind++) {
+            struct trace_rays rays;
+            if (trace_rays_make(&rays, a, id, (enum trace_rays_id)kind, b->options.side) != ERR_OK)
+                exit(5);
+            time_rays(b, trace_scene_names[id], trace_rays_names[kind], a, &rays,
+                      kind == TRACE_SHADOW, threads);
+            trace_rays_release(&rays);
+        }
+        accel_free(a);
+    }
+    trace_scene_release(&s);
+}
+
+static char *read_file(const char *path, size_t *bytes)
+{
+    FILE *f = fopen(path, "rb");
+    long size = -1;
+    if (f && fseek(f, 0, SEEK_END) == 0)
+        size = ftell(f);
+    char *data = size >= 0 ? mem_alloc((size_t)size + 1) : NULL;
+    if (!data || fseek(f, 0, SEEK_SET) != 0 || fread(data, 1, (size_t)size, f) != (size_t)size) {
+        fprintf(stderr, "bench_trace: %s cannot be read: %s\n", path, strerror(errno));
+        exit(3);
+    }
+    fclose(f);
+    *bytes = (size_t)size;
+    return data;
+}
+
+static void read_mesh(const char *path, struct gen_mesh *out)
+{
+    size_t bytes;
+    char *data = read_file(path, &bytes);
+    struct diag_list problems;
+    struct scene_mesh mesh;
+    diag_init(&problems);
+    if (ply_read_mesh(data, bytes, path, &mesh, &problems) != ERR_OK) {
+        diag_print(&problems, stderr);
+        exit(3);
+    }
+    gen_mesh_init(out);
+    out->vertex_count = mesh.vertex_count;
+    out->triangle_count = mesh.triangle_count;
+    out->positions = mem_alloc_array(3 * out->vertex_count, sizeof *out->positions);
+    if (!out->positions)
+        exit(5);
+    for (size_t i = 0; i < 3 * out->vertex_count; i++)
+        out->positions[i] = (float)mesh.positions[i];
+    out->indices = mesh.indices;
+    mesh.indices = NULL;
+    scene_mesh_release(&mesh);
+    diag_release(&problems);
+    mem_free(data);
+}
+
+static void read_rays(const char *path, struct trace_rays *out)
+{
+    size_t bytes;
+    char *data = read_file(path, &bytes);
+    uint32_t count = 0;
+    if (bytes >= sizeof count)
+        memcpy(&count, data, sizeof count);
+    if (bytes != sizeof count + (size_t)count * sizeof *out->ray) {
+        fprintf(stderr, "bench_trace: %s: expected a count and 8 floats for each ray\n", path);
+        exit(3);
+    }
+    out->count = count;
+    out->ray = mem_alloc_array(count, sizeof *out->ray);
+    if (!out->ray)
+        exit(5);
+    memcpy(out->ray, data + sizeof count, count * sizeof *out->ray);
+    mem_free(data);
+}
+
+static void bench_files(struct bench *b)
+{
+    struct gen_mesh mesh;
+    struct trace_scene s;
+    struct trace_rays rays;
+    read_mesh(b->options.mesh, &mesh);
+    read_rays(b->options.rays, &rays);
+    trace_scene_wrap(&s, &mesh);
+    for (int threads = 1; threads <= (b->options.quick ? 1 : THREADS_MAX); threads++) {
+        struct accel *a = time_build(b, "mesh", &s, threads);
+        time_rays(b, "mesh", b->options.shadow ? "shadow" : "closest", a, &rays, b->options.shadow,
+                  threads);
+        accel_free(a);
+    }
+    trace_rays_release(&rays);
+    trace_scene_release(&s);
+}
+
+static void add_peer(struct bench *b, const char *name, const char *library, bool robust)
+{
+    for (uint32_t threads = 1; threads <= THREADS_MAX; threads++) {
+        b->peers[threads - 1][b->peer_count] = trace_peer_new(library, threads);
+        if (!b->peers[threads - 1][b->peer_count]) {
+            fprintf(stderr, "bench_trace: %s cannot be loaded\n", library ? library : "Embree");
+            exit(5);
+        }
+    }
+    b->peer_names[b->peer_count] = name;
+    b->peer_robust[b->peer_count++] = robust;
+}
+
+static int usage(void)
+{
+    fprintf(stderr, "usage: bench_trace [--quick] [--json FILE] [--runs N] [--side N] "
+                    "[--scene NAME]\n                   [--isa sse2|avx2|avx512] "
+                    "[--embree4 LIBRARY]\n                   "
+                    "[--mesh FILE.ply --rays FILE [--shadow]]\n");
+    return 2;
+}
+
+static bool parse_isa(const char *name, enum accel_isa *out)
+{
+    const char *names[] = {"auto", "sse2", "avx2", "avx512"};
+    for (int i = 0; i < 4; i++)
+        if (strcmp(name, names[i]) == 0) {
+            *out = (enum accel_isa)i;
+            return true;
+        }
+    return false;
+}
+
+static bool parse_options(int argc, char **argv, struct options *o)
+{
+    static const struct option table[] = {
+        {"quick", no_argument, NULL, 'q'},
+        {"json", required_argument, NULL, 'j'},
+        {"runs", required_argument, NULL, 'n'},
+        {"side", required_argument, NULL, 's'},
+        {"scene", required_argument, NULL, 'c'},
+        {"isa", required_argument, NULL, 'i'},
+        {"embree4", required_argument, NULL, '4'},
+        {"mesh", required_argument, NULL, 'm'},
+        {"rays", required_argument, NULL, 'r'},
+        {"shadow", no_argument, NULL, 'o'},
+        {NULL, 0, NULL, 0},
+    };
+    *o = (struct options){.runs = 7, .side = 512};
+    int c;
+    while ((c = getopt_long(argc, argv, "", table, NULL)) != -1) {
+        switch (c) {
+        case 'q':
+            o->quick = true;
+            break;
+        case 'j':
+            o->json = optarg;
+            break;
+        case 'n':
+            o->runs = atoi(optarg);
+            break;
+        case 's':
+            o->side = (uint32_t)atoi(optarg) / 16 * 16;
+            break;
+        case 'c':
+            o->scene = optarg;
+            break;
+        case 'i':
+            if (!parse_isa(optarg, &o->isa))
+                return false;
+            break;
+        case '4':
+            o->embree4 = optarg;
+            break;
+        case 'm':
+            o->mesh = optarg;
+            break;
+        case 'r':
+            o->rays = optarg;
+            break;
+        case 'o':
+            o->shadow = true;
+            break;
+        default:
+            return false;
+        }
+    }
+    return optind == argc && o->runs >= 1 && o->runs <= RUNS_MAX && o->side >= 16 &&
+           o->side <= 16384 && !o->mesh == !o->rays;
+}
+
+int main(int argc, char **argv)
+{
+    struct bench b = {.first_case = true};
+    if (!parse_options(argc, argv, &b.options))
+        return usage();
+    add_peer(&b, "embree3", NULL, false);
+    add_peer(&b, "embree3-robust", NULL, true);
+    if (b.options.embree4) {
+        add_peer(&b, "embree4", b.options.embree4, false);
+        add_peer(&b, "embree4-robust", b.options.embree4, true);
+    }
+    char machine[256];
+    machine_name(machine, sizeof machine);
+    if (b.options.json && !(b.json = fopen(b.options.json, "w"))) {
+        fprintf(stderr, "bench_trace: %s: %s\n", b.options.json, strerror(errno));
+        return 5;
+    }
+    if (b.json)
+        fprintf(b.json, "{\"machine\": \"%s\", \"cases\": [", machine);
+    printf("%s; Mrays/s of ours (single, batch), then for each peer its Mrays/s and the ratios\n"
+           "of our single and batch calls to it: median (min-max) of %d runs\n%-10s %-7s th single "
+           " batch",
+           machine, b.options.runs, "scene", "rays");
+    for (int p = 0; p < b.peer_count; p++)
+        printf(" | %s", b.peer_names[p]);
+    printf("\n");
+    bool found = b.options.mesh != NULL;
+    if (found)
+        bench_files(&b);
+    for (int id = 0; id < TRACE_SCENE_COUNT && !b.options.mesh; id++)
+        if (!b.options.scene || strcmp(b.options.scene, trace_scene_names[id]) == 0) {
+            bench_scene(&b, (enum trace_scene_id)id);
+            found = true;
+        }
+    if (b.json) {
+        fprintf(b.json, "\n]}\n");
+        if (fclose(b.json) != 0)
+            return 5;
+    }
+    for (int p = 0; p < b.peer_count; p++)
+        for (int threads = 0; threads < THREADS_MAX; threads++)
+            trace_peer_free(b.peers[threads][p]);
+    return found ? 0 : usage();
+}

@@ -1,0 +1,236 @@
+#include "tests/bench/trace_peer.h"
+
+#include <dlfcn.h>
+#include <embree3/rtcore.h>
+#include <stdatomic.h>
+#include <stdio.h>
+#include <time.h>
+
+#include "common/mem.h"
+#include "common/scene.h"
+
+/* Embree 4's forms of the two calls that changed. */
+typedef void (*intersect4_fn)(RTCScene scene, struct RTCRayHit *ray, void *arguments);
+typedef void (*occluded4_fn)(RTCScene scene, struct RTCRay *ray, void *arguments);
+
+#define CALLS(X)                                                                                   \
+    X(rtcNewDevice)                                                                                \
+    X(rtcReleaseDevice) X(rtcNewScene) X(rtcReleaseScene) X(rtcCommitScene) X(rtcSetSceneFlags)    \
+        X(rtcSetSceneBuildQuality) X(rtcNewGeometry) X(rtcReleaseGeometry) X(rtcCommitGeometry)    \
+            X(rtcSetSharedGeometryBuffer) X(rtcAttachGeometry) X(rtcSetGeometryInstancedScene)     \
+                X(rtcSetGeometryTransform) X(rtcSetDeviceMemoryMonitorFunction)
+
+struct calls {
+#define CALL_FIELD(name) __typeof__(&(name)) name;
+    CALLS(CALL_FIELD)
+#undef CALL_FIELD
+    intersect4_fn intersect4;
+    occluded4_fn occluded4;
+};
+
+struct trace_peer {
+    struct calls call;
+    void *library;
+    RTCDevice device;
+    RTCScene scene, mesh;
+    atomic_int_fast64_t bytes;
+};
+
+double trace_seconds(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static bool calls_load(struct trace_peer *p, const char *library)
+{
+    p->library = dlopen(library, RTLD_NOW | RTLD_LOCAL | RTLD_DEEPBIND);
+    if (!p->library)
+        return false;
+    bool all = true;
+#define CALL_LOAD(name)                                                                            \
+    *(void **)&p->call.name = dlsym(p->library, #name);                                            \
+    all = all && p->call.name;
+    CALLS(CALL_LOAD)
+#undef CALL_LOAD
+    *(void **)&p->call.intersect4 = dlsym(p->library, "rtcIntersect1");
+    *(void **)&p->call.occluded4 = dlsym(p->library, "rtcOccluded1");
+    return all && p->call.intersect4 && p->call.occluded4;
+}
+
+static bool count_bytes(void *ctx, ssize_t bytes, bool post)
+{
+    struct trace_peer *p = ctx;
+    (void)post;
+    atomic_fetch_add(&p->bytes, bytes);
+    return true;
+}
+
+struct trace_peer *trace_peer_new(const char *library, uint32_t threads)
+{
+    struct trace_peer *p = mem_calloc(1, sizeof *p);
+    if (!p)
+        return NULL;
+#define CALL_LINK(name) p->call.name = name;
+    CALLS(CALL_LINK)
+#undef CALL_LINK
+    char config[64];
+    snprintf(config, sizeof config, "threads=%u,set_affinity=0", threads);
+    if (!library || calls_load(p, library))
+        p->device = p->call.rtcNewDevice(config);
+    if (!p->device) {
+        mem_free(p);
+        return NULL;
+    }
+    p->call.rtcSetDeviceMemoryMonitorFunction(p->device, count_bytes, p);
+    return p;
+}
+
+static void drop_scenes(struct trace_peer *p)
+{
+    if (p->scene)
+        p->call.rtcReleaseScene(p->scene);
+    if (p->mesh)
+        p->call.rtcReleaseScene(p->mesh);
+    p->scene = p->mesh = NULL;
+}
+
+void trace_peer_free(struct trace_peer *p)
+{
+    if (!p)
+        return;
+    drop_scenes(p);
+    p->call.rtcReleaseDevice(p->device);
+    mem_free(p);
+}
+
+static RTCScene new_scene(struct trace_peer *p, enum trace_peer_quality quality, bool robust)
+{
+    RTCScene scene = p->call.rtcNewScene(p->device);
+    p->call.rtcSetSceneFlags(scene, robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
+    p->call.rtcSetSceneBuildQuality(scene, quality == PEER_HIGH ? RTC_BUILD_QUALITY_HIGH
+                                                                : RTC_BUILD_QUALITY_MEDIUM);
+    return scene;
+}
+
+static void attach(struct trace_peer *p, RTCScene scene, RTCGeometry geometry)
+{
+    p->call.rtcCommitGeometry(geometry);
+    p->call.rtcAttachGeometry(scene, geometry);
+    p->call.rtcReleaseGeometry(geometry);
+}
+
+static void attach_mesh(struct trace_peer *p, RTCScene scene, const struct accel_mesh *m)
+{
+    RTCGeometry g = p->call.rtcNewGeometry(p->device, RTC_GEOMETRY_TYPE_TRIANGLE);
+    p->call.rtcSetSharedGeometryBuffer(g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                       m->positions, 0, 12, m->vertex_count);
+    p->call.rtcSetSharedGeometryBuffer(g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, m->indices, 0,
+                                       12, m->triangle_count);
+    attach(p, scene, g);
+}
+
+double trace_peer_build(struct trace_peer *p, const struct trace_scene *s,
+                        enum trace_peer_quality quality, bool robust)
+{
+    drop_scenes(p);
+    double start = trace_seconds();
+    p->scene = new_scene(p, quality, robust);
+    attach_mesh(p, p->scene, &s->views[0]);
+    if (s->input.object_count > 1) {
+        p->mesh = new_scene(p, quality, robust);
+        attach_mesh(p, p->mesh, &s->views[1]);
+        p->call.rtcCommitScene(p->mesh);
+    }
+    for (size_t i = 1; i < s->input.object_count; i++) {
+        float m[12];
+        for (int k = 0; k < 12; k++)
+            m[k] = (float)s->input.objects[i].to_scene[k];
+        RTCGeometry g = p->call.rtcNewGeometry(p->device, RTC_GEOMETRY_TYPE_INSTANCE);
+        p->call.rtcSetGeometryInstancedScene(g, p->mesh);
+        p->call.rtcSetGeometryTransform(g, 0, RTC_FORMAT_FLOAT3X4_ROW_MAJOR, m);
+        attach(p, p->scene, g);
+    }
+    p->call.rtcCommitScene(p->scene);
+    return trace_seconds() - start;
+}
+
+int64_t trace_peer_bytes(const struct trace_peer *p)
+{
+    return atomic_load(&p->bytes);
+}
+
+static inline void fill_ray(struct RTCRay *r, const float ray[8])
+{
+    r->org_x = ray[0];
+    r->org_y = ray[1];
+    r->org_z = ray[2];
+    r->tnear = ray[3];
+    r->dir_x = ray[4];
+    r->dir_y = ray[5];
+    r->dir_z = ray[6];
+    r->tfar = ray[7];
+    r->time = 0.0f;
+    r->mask = UINT32_MAX;
+    r->flags = 0;
+}
+
+static inline void closest(struct trace_peer *p, const float ray[8], struct RTCRayHit *rh)
+{
+    fill_ray(&rh->ray, ray);
+    rh->hit.geomID = rh->hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+    if (p->call.intersect4) {
+        p->call.intersect4(p->scene, rh, NULL);
+    } else {
+        struct RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        rtcIntersect1(p->scene, &context, rh);
+    }
+}
+
+static inline bool occluded(struct trace_peer *p, const float ray[8])
+{
+    struct RTCRay r;
+    fill_ray(&r, ray);
+    if (p->call.occluded4) {
+        p->call.occluded4(p->scene, &r, NULL);
+    } else {
+        struct RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        rtcOccluded1(p->scene, &context, &r);
+    }
+    return r.tfar < 0.0f;
+}
+
+void trace_peer_closest(struct trace_peer *p, const float ray[8], struct trace_peer_hit *hit)
+{
+    struct RTCRayHit rh;
+    closest(p, ray, &rh);
+    hit->t = rh.ray.tfar;
+    hit->primitive = rh.hit.primID;
+    hit->object = rh.hit.geomID == RTC_INVALID_GEOMETRY_ID      ? SCENE_NONE
+                  : rh.hit.instID[0] == RTC_INVALID_GEOMETRY_ID ? rh.hit.geomID
+                                                                : rh.hit.instID[0];
+}
+
+bool trace_peer_occluded(struct trace_peer *p, const float ray[8])
+{
+    return occluded(p, ray);
+}
+
+size_t trace_peer_count(struct trace_peer *p, const struct trace_rays *r, size_t begin, size_t end,
+                        bool shadow)
+{
+    size_t hits = 0;
+    for (size_t i = begin; i < end; i++) {
+        if (shadow) {
+            hits += occluded(p, r->ray[i]);
+        } else {
+            struct RTCRayHit rh __attribute__((aligned(16)));
+            closest(p, r->ray[i], &rh);
+            hits += rh.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+        }
+    }
+    return hits;
+}
