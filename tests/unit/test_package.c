@@ -1,0 +1,263 @@
+/* Packages: round trip, sharing, what is left out, hostile bytes; chunks through zstd. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <string.h>
+
+#include "common/mem.h"
+#include "common/package.h"
+
+/* --- A scene made by hand ------------------------------------------------ */
+
+static void add_mesh(struct scene *s, double shift)
+{
+    struct scene_mesh *m = &s->meshes[s->mesh_count++];
+    *m = (struct scene_mesh){.vertex_count = 3, .triangle_count = 1};
+    m->name = mem_sprintf("m%zu", s->mesh_count);
+    m->positions = mem_calloc(9, sizeof(double));
+    m->indices = mem_calloc(3, sizeof(uint32_t));
+    m->normals = mem_calloc(9, sizeof(float));
+    assert_true(m->name && m->positions && m->indices && m->normals);
+    m->positions[3] = 1 + shift;
+    m->positions[7] = 1;
+    m->indices[1] = 1;
+    m->indices[2] = 2;
+    m->normals[2] = 1;
+}
+
+static void add_image(struct scene *s, unsigned char value)
+{
+    struct scene_image *image = &s->images[s->image_count++];
+    *image = (struct scene_image){
+        .width = 2, .height = 1, .channel_count = 3, .format = SCENE_IMAGE_U8_SRGB};
+    image->pixels = mem_calloc(6, 1);
+    assert_non_null(image->pixels);
+    memset(image->pixels, value, 6);
+}
+
+/* Meshes 0 and 2 are equal, mesh 3, texture 2, image 1 and material 1 are not used. */
+static void make_scene(struct scene *s)
+{
+    scene_init(s);
+    s->meshes = mem_calloc(4, sizeof *s->meshes);
+    s->images = mem_calloc(2, sizeof *s->images);
+    s->textures = mem_calloc(3, sizeof *s->textures);
+    s->materials = mem_calloc(3, sizeof *s->materials);
+    s->objects = mem_calloc(4, sizeof *s->objects);
+    s->lights = mem_calloc(1, sizeof *s->lights);
+    assert_true(s->meshes && s->images && s->textures && s->materials && s->objects && s->lights);
+    static const double shifts[4] = {0, 0.1, 0, 5};
+    for (int i = 0; i < 4; i++)
+        add_mesh(s, shifts[i]);
+    add_image(s, 10);
+    add_image(s, 20);
+    for (s->texture_count = 0; s->texture_count < 3; s->texture_count++) {
+        struct scene_texture *t = &s->textures[s->texture_count];
+        scene_texture_init(t);
+        t->name = mem_sprintf("t%zu", s->texture_count);
+    }
+    s->textures[1].type = s->textures[2].type = SCENE_TEXTURE_IMAGE;
+    s->textures[1].image = 0;
+    s->textures[2].image = 1;
+    for (s->material_count = 0; s->material_count < 3; s->material_count++) {
+        struct scene_material *m = &s->materials[s->material_count];
+        scene_material_init(m);
+        m->name = mem_sprintf("m%zu", s->material_count);
+    }
+    s->materials[1].texture = 2;
+    s->materials[2].texture = 1;
+    for (; s->object_count < 4; s->object_count++)
+        scene_object_init(&s->objects[s->object_count]);
+    for (uint32_t i = 0; i < 3; i++)
+        s->objects[i].mesh = i;
+    s->objects[1].material = 2;
+    s->objects[3].type = SCENE_OBJECT_SPHERE;
+    s->objects[3].emits = true;
+    s->lights[s->light_count++] = (struct scene_light){.intensity = {1, 2, 3}};
+    s->envmap.texture = 0;
+    scene_check(s);
+}
+
+static enum err fetch(void *ctx, size_t i, const struct package_index_entry *entry,
+                      const unsigned char **data, size_t *bytes)
+{
+    const struct package *p = ctx;
+    assert_true(digest_equal(&entry->name, &p->chunks[1 + i].name));
+    *data = p->chunks[1 + i].data;
+    *bytes = p->chunks[1 + i].bytes;
+    return ERR_OK;
+}
+
+static void a_scene_comes_back_trimmed(void **state)
+{
+    (void)state;
+    struct scene s, back;
+    struct package p, again;
+    make_scene(&s);
+    assert_int_equal(package_write(&s, &p), ERR_OK);
+    assert_int_equal(p.count, 1 + 2 + 1); /* root, two distinct meshes, one used image */
+    assert_int_equal(package_read(p.chunks[0].data, p.chunks[0].bytes, fetch, &p, &back), ERR_OK);
+    assert_int_equal(back.mesh_count, 2);
+    assert_int_equal(back.texture_count, 2);
+    assert_int_equal(back.material_count, 1);
+    assert_int_equal(back.object_count, 4);
+    assert_int_equal(back.objects[0].mesh, back.objects[2].mesh);
+    assert_string_equal(back.materials[back.objects[1].material].name, "m2");
+    assert_string_equal(back.textures[back.materials[0].texture].name, "t1");
+    assert_int_equal(((unsigned char *)back.images[0].pixels)[0], 10);
+    assert_true(back.meshes[1].positions[3] == 1.1); /* not a float: kept in double */
+    assert_true(back.lights[0].intensity[2] == 3);
+    /* The same scene gives the same names, wherever it was read from. */
+    assert_int_equal(package_write(&back, &again), ERR_OK);
+    assert_true(digest_equal(&p.chunks[0].name, &again.chunks[0].name));
+    package_release(&again);
+    package_release(&p);
+    scene_release(&back);
+    scene_release(&s);
+}
+
+static void the_index_lists_what_is_needed(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct package p;
+    struct package_index index;
+    make_scene(&s);
+    assert_int_equal(package_write(&s, &p), ERR_OK);
+    assert_int_equal(package_root_read(p.chunks[0].data, p.chunks[0].bytes, &index), ERR_OK);
+    assert_int_equal(index.count, p.count - 1);
+    for (size_t i = 0; i < index.count; i++) {
+        assert_true(digest_equal(&index.entries[i].name, &p.chunks[1 + i].name));
+        assert_int_equal(index.entries[i].bytes, p.chunks[1 + i].bytes);
+        assert_int_equal(index.entries[i].kind, p.chunks[1 + i].kind);
+    }
+    package_index_release(&index);
+    package_release(&p);
+    scene_release(&s);
+}
+
+/* Cut anywhere, or with any bit of root or chunk turned, a package is refused or a valid scene. */
+static void hostile_bytes_never_pass_unseen(void **state)
+{
+    (void)state;
+    struct scene s, back;
+    struct package p;
+    struct package_index index;
+    make_scene(&s);
+    assert_int_equal(package_write(&s, &p), ERR_OK);
+    struct package_chunk *root = &p.chunks[0];
+    for (size_t cut = 0; cut < root->bytes; cut++)
+        assert_int_equal(package_root_read(root->data, cut, &index), ERR_CORRUPT);
+    for (size_t bit = 0; bit < 8 * root->bytes; bit += 3) {
+        root->data[bit / 8] ^= (unsigned char)(1 << bit % 8);
+        if (package_root_read(root->data, root->bytes, &index) == ERR_OK)
+            package_index_release(&index);
+        root->data[bit / 8] ^= (unsigned char)(1 << bit % 8);
+    }
+    struct package_chunk *mesh = &p.chunks[1];
+    for (size_t bit = 0; bit < 8 * mesh->bytes; bit++) {
+        mesh->data[bit / 8] ^= (unsigned char)(1 << bit % 8);
+        if (package_read(root->data, root->bytes, fetch, &p, &back) == ERR_OK) {
+            scene_check(&back);
+            scene_release(&back);
+        }
+        mesh->data[bit / 8] ^= (unsigned char)(1 << bit % 8);
+    }
+    package_release(&p);
+    scene_release(&s);
+}
+
+static void memory_runs_out_cleanly(void **state)
+{
+    (void)state;
+    struct scene s, back;
+    struct package p;
+    make_scene(&s);
+    enum err e = ERR_NOMEM;
+    for (uint64_t n = 0; e != ERR_OK; n++) {
+        mem_fail_after(n);
+        e = package_write(&s, &p);
+        mem_fail_after(UINT64_MAX);
+        assert_true(e == ERR_OK || e == ERR_NOMEM);
+    }
+    e = ERR_NOMEM;
+    for (uint64_t n = 0; e != ERR_OK; n++) {
+        mem_fail_after(n);
+        e = package_read(p.chunks[0].data, p.chunks[0].bytes, fetch, &p, &back);
+        mem_fail_after(UINT64_MAX);
+    }
+    scene_release(&back);
+    package_release(&p);
+    scene_release(&s);
+}
+
+static void chunks_survive_zstd_and_nothing_else_does(void **state)
+{
+    (void)state;
+    enum { BYTES = 700000 };
+    unsigned char *data = mem_alloc(BYTES);
+    struct buf frame, out;
+    assert_non_null(data);
+    for (size_t i = 0; i < BYTES; i++)
+        data[i] = (unsigned char)(i * i >> 9);
+    digest name = digest_of(data, BYTES), wrong = digest_of(data, BYTES - 1);
+    buf_init(&frame);
+    buf_init(&out);
+    assert_int_equal(chunk_compress(data, BYTES, &frame), ERR_OK);
+    assert_true(frame.bytes < BYTES);
+    buf_put(&out, "kept", 4);
+    assert_int_equal(chunk_decompress(frame.data, frame.bytes, &name, BYTES, &out), ERR_OK);
+    assert_int_equal(out.bytes, 4 + BYTES);
+    assert_memory_equal(out.data + 4, data, BYTES);
+    out.bytes = 4;
+    assert_int_equal(chunk_decompress(frame.data, frame.bytes, &wrong, BYTES, &out), ERR_CORRUPT);
+    assert_int_equal(chunk_decompress(frame.data, frame.bytes, &name, BYTES - 1, &out), ERR_LIMIT);
+    assert_int_equal(chunk_decompress(frame.data, frame.bytes, &name, BYTES + 1, &out),
+                     ERR_CORRUPT);
+    assert_int_equal(chunk_decompress(frame.data, frame.bytes - 1, &name, BYTES, &out),
+                     ERR_CORRUPT);
+    assert_int_equal(chunk_decompress(frame.data, 0, &name, BYTES, &out), ERR_CORRUPT);
+    buf_put_u8(&frame, 0);
+    assert_int_equal(chunk_decompress(frame.data, frame.bytes, &name, BYTES, &out), ERR_CORRUPT);
+    frame.data[frame.bytes / 2] ^= 1;
+    assert_int_equal(chunk_decompress(frame.data, frame.bytes - 1, &name, BYTES, &out),
+                     ERR_CORRUPT);
+    assert_int_equal(out.bytes, 4);
+    assert_memory_equal(out.data, "kept", 4);
+    buf_release(&frame);
+    buf_release(&out);
+    mem_free(data);
+}
+
+static void singular_transforms_are_known_at_any_scale(void **state)
+{
+    (void)state;
+    double m[16] = {1, 2, 3, 0, 4, 5, 6, 0, 7, 8, 9, 0, 0, 0, 0, 1};
+    assert_false(scene_transform_valid(m));
+    m[10] = 10;
+    for (int k = -120; k <= 120; k += 40) {
+        double scaled[16];
+        memcpy(scaled, m, sizeof m);
+        for (int i = 0; i < 12; i++)
+            scaled[i] = __builtin_ldexp(m[i], k);
+        assert_true(scene_transform_valid(scaled));
+    }
+    m[15] = 2;
+    assert_false(scene_transform_valid(m));
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_scene_comes_back_trimmed),
+        cmocka_unit_test(the_index_lists_what_is_needed),
+        cmocka_unit_test(hostile_bytes_never_pass_unseen),
+        cmocka_unit_test(memory_runs_out_cleanly),
+        cmocka_unit_test(chunks_survive_zstd_and_nothing_else_does),
+        cmocka_unit_test(singular_transforms_are_known_at_any_scale),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
