@@ -95,35 +95,60 @@ static void mesh_vertices(void *ctx, const struct bvh_ref *ref, float out[3][3])
     triangle_vertices(&a->meshes[ref->owner], ref->primitive, out);
 }
 
+enum { REFS_PER_TASK = 65536 };
+
+/* References to the triangles of one mesh, made on all threads. */
+struct refs_job {
+    const struct accel_mesh *mesh;
+    struct bvh_ref *refs;
+    uint32_t first, owner;
+};
+
+static void refs_some(void *arg, size_t index)
+{
+    const struct refs_job *job = arg;
+    size_t begin = index * REFS_PER_TASK, end = begin + REFS_PER_TASK;
+    for (size_t i = begin; i < end && i < job->mesh->triangle_count; i++) {
+        triangle_ref(job->mesh, (uint32_t)i, &job->refs[i]);
+        job->refs[i].primitive = job->first + (uint32_t)i;
+        job->refs[i].owner = job->owner;
+    }
+}
+
+static size_t mesh_refs(const struct accel_mesh *m, uint32_t first, uint32_t owner,
+                        const struct accel_runner *runner, struct bvh_ref *refs)
+{
+    struct refs_job job = {m, refs, first, owner};
+    size_t count = m->triangle_count;
+    bvh_run(runner, (count + REFS_PER_TASK - 1) / REFS_PER_TASK, refs_some, &job);
+    return count;
+}
+
+static struct bvh_ref *refs_new(size_t count)
+{
+    size_t bytes;
+    if (__builtin_mul_overflow(count, sizeof(struct bvh_ref), &bytes))
+        return NULL;
+    return mem_alloc_aligned(bytes, BVH_UNIT_BYTES);
+}
+
 static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct accel_runner *runner)
 {
     const struct accel_mesh *m = &a->meshes[mesh];
-    struct bvh_ref *refs = mem_alloc_array(m->triangle_count, sizeof *refs);
+    struct bvh_ref *refs = refs_new(m->triangle_count);
     if (!refs)
         return ERR_NOMEM;
-    for (uint32_t i = 0; i < m->triangle_count; i++) {
-        triangle_ref(m, i, &refs[i]);
-        refs[i].primitive = i;
-        refs[i].owner = mesh;
-    }
-    enum err err = bvh_new(refs, m->triangle_count, a->options.builder == JOB_BUILDER_MEDIAN,
-                           runner, mesh_vertices, a, &a->mesh_trees[mesh]);
-    mem_free(refs);
-    return err;
+    size_t count = mesh_refs(m, 0, mesh, runner, refs);
+    return bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner, mesh_vertices, a,
+                   &a->mesh_trees[mesh]);
 }
 
-static size_t object_refs(const struct accel *a, uint32_t number, struct bvh_ref *refs)
+static size_t object_refs(const struct accel *a, uint32_t number,
+                          const struct accel_runner *runner, struct bvh_ref *refs)
 {
     const struct accel_object *o = &a->objects[number];
-    if (o->type == ACCEL_TRIANGLES) {
-        const struct accel_mesh *m = &a->meshes[o->mesh];
-        for (uint32_t i = 0; i < m->triangle_count; i++) {
-            triangle_ref(m, i, &refs[i]);
-            refs[i].primitive = a->triangle_first[number] + i;
-            refs[i].owner = number;
-        }
-        return m->triangle_count;
-    }
+    if (o->type == ACCEL_TRIANGLES)
+        return mesh_refs(&a->meshes[o->mesh], a->triangle_first[number], number, runner, refs);
     if (o->type == ACCEL_SPHERE)
         sphere_ref(o, refs);
     else if (a->meshes[o->mesh].triangle_count)
@@ -138,15 +163,13 @@ static size_t object_refs(const struct accel *a, uint32_t number, struct bvh_ref
 static enum err scene_tree_build(struct accel *a, const struct accel_runner *runner)
 {
     size_t limit = a->triangle_first[a->object_count] + a->object_count, count = 0;
-    struct bvh_ref *refs = mem_alloc_array(limit, sizeof *refs);
+    struct bvh_ref *refs = refs_new(limit);
     if (!refs)
         return ERR_NOMEM;
     for (uint32_t i = 0; i < a->object_count; i++)
-        count += object_refs(a, i, &refs[count]);
-    enum err err = bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner,
-                           scene_vertices, a, &a->scene_tree);
-    mem_free(refs);
-    return err;
+        count += object_refs(a, i, runner, &refs[count]);
+    return bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner, scene_vertices, a,
+                   &a->scene_tree);
 }
 
 static enum err trees_build(struct accel *a, const struct accel_runner *runner)

@@ -72,8 +72,8 @@ struct bvh {
 /* Writes the nine coordinates of a triangle, [vertex][axis]. */
 typedef void (*bvh_vertices_fn)(void *ctx, const struct bvh_ref *ref, float out[3][3]);
 
-/* Builds over refs[0..count), which it reorders. `median`: split at the object median of the
- * longest axis, else by the surface area heuristic. ERR_NOMEM; ERR_LIMIT: over
+/* Builds over refs[0..count), as bvh2_build takes them. `median`: split at the object median of
+ * the longest axis, else by the surface area heuristic. ERR_NOMEM; ERR_LIMIT: over
  * BVH_PRIMITIVES_MAX or too large for the arena's references. */
 TL_NODISCARD enum err bvh_new(struct bvh_ref *refs, size_t count, bool median,
                               const struct accel_runner *runner, bvh_vertices_fn vertices,
@@ -82,22 +82,42 @@ void bvh_release(struct bvh *b);
 
 /* --- The binary tree between the two steps ------------------------------- */
 
-/* Depth first: a node's left child follows it. */
 struct bvh2_node {
     float lo[3];
-    uint32_t first; /* leaf: first reference; else the right child */
+    uint32_t left;  /* a leaf: its first reference, with BVH2_LEAF set */
     float hi[3];
-    uint32_t count; /* leaf: 1..BVH_BLOCK references; else 0 */
+    uint32_t right; /* a leaf: how many, 1..BVH_BLOCK */
+};
+#define BVH2_LEAF UINT32_C(0x80000000)
+
+/* The binary tree. Nodes lie in runs, children behind their parents within a run; the
+ * run of the top comes first and its leaves are the roots of the others. */
+struct bvh2 {
+    struct bvh2_node *nodes;
+    struct bvh2_run {
+        uint32_t begin, end;
+    } *runs;
+    size_t run_count, node_limit;
+    struct bvh_ref *refs; /* reordered */
+    struct bvh_ref *spare;
 };
 
+/* Takes refs[0..count), count > 0, allocated by mem_alloc_aligned(.., BVH_UNIT_BYTES); frees
+ * them whatever happens or hands them on in out->refs. */
 TL_NODISCARD enum err bvh2_build(struct bvh_ref *refs, uint32_t count, bool median,
-                                 const struct accel_runner *runner, struct bvh2_node *nodes,
-                                 uint32_t *used);
+                                 const struct accel_runner *runner, struct bvh2 *out);
+void bvh2_release(struct bvh2 *b);
 
-/* Nodes that bvh2_build may write for `count` references. */
-static inline size_t bvh2_node_limit(size_t count)
+/* Runs fn over 0..count-1, on the runner's threads where there is one. */
+static inline void bvh_run(const struct accel_runner *runner, size_t count,
+                           void (*fn)(void *arg, size_t index), void *arg)
 {
-    return count ? 2 * count - 1 : 0;
+    if (runner && runner->thread_count > 1 && count > 1) {
+        runner->run(runner->ctx, count, fn, arg);
+        return;
+    }
+    for (size_t i = 0; i < count; i++)
+        fn(arg, i);
 }
 
 static inline const struct bvh_node *bvh_node_at(const unsigned char *arena, uint32_t ref)

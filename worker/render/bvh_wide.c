@@ -54,18 +54,36 @@ static void choose(const struct bvh2_node *node, const struct choice *left,
     }
 }
 
-/* Children come after their parent, so going backwards meets them first. */
-static void choose_all(const struct bvh2_node *nodes, uint32_t count, struct choice *choices)
+static bool is_leaf(const struct bvh2_node *n)
 {
-    for (uint32_t i = count; i-- > 0;) {
-        if (nodes[i].count) {
+    return n->left & BVH2_LEAF;
+}
+
+struct choosing {
+    const struct bvh2 *tree;
+    struct choice *choices;
+};
+
+/* Children come after their parent within a run, so going backwards meets them first. */
+static void choose_run(void *arg, size_t index)
+{
+    struct choosing *c = arg;
+    const struct bvh2_node *nodes = c->tree->nodes;
+    for (uint32_t i = c->tree->runs[index].end; i-- > c->tree->runs[index].begin;) {
+        if (is_leaf(&nodes[i])) {
             float cost = half_area(&nodes[i]) * LEAF_COST;
             for (int k = 0; k < BVH_WIDTH; k++)
-                choices[i].cost[k] = cost;
+                c->choices[i].cost[k] = cost;
         } else {
-            choose(&nodes[i], &choices[i + 1], &choices[nodes[i].first], &choices[i]);
+            choose(&nodes[i], &c->choices[nodes[i].left], &c->choices[nodes[i].right],
+                   &c->choices[i]);
         }
     }
+}
+
+static void choose_task(void *arg, size_t index)
+{
+    choose_run(arg, index + 1);
 }
 
 /* Lists the binary nodes that fill the slots of the wide node made of `root`. */
@@ -78,23 +96,23 @@ static void plan_children(const struct bvh2_node *nodes, const struct choice *ch
     int top = 0;
     uint32_t left = choices[root].left[0];
     plan->count = 0;
-    stack[top].node = nodes[root].first;
+    stack[top].node = nodes[root].right;
     stack[top++].slots = BVH_WIDTH - left;
-    stack[top].node = root + 1;
+    stack[top].node = nodes[root].left;
     stack[top++].slots = left;
     while (top > 0) {
         uint32_t node = stack[--top].node, slots = stack[top].slots;
-        if (!nodes[node].count)
+        if (!is_leaf(&nodes[node]))
             while (slots > 1 && choices[node].left[slots - 1] == 0)
                 slots--;
-        if (nodes[node].count || slots == 1) {
+        if (is_leaf(&nodes[node]) || slots == 1) {
             plan->child[plan->count++] = node;
             continue;
         }
         left = choices[node].left[slots - 1];
-        stack[top].node = nodes[node].first;
+        stack[top].node = nodes[node].right;
         stack[top++].slots = slots - left;
-        stack[top].node = node + 1;
+        stack[top].node = nodes[node].left;
         stack[top++].slots = left;
     }
 }
@@ -118,7 +136,7 @@ static enum err plan_node(struct planner *p, uint32_t root, uint32_t depth, size
     plan->unit = (uint32_t)p->units;
     plan->depth = depth;
     p->units += sizeof(struct bvh_node) / BVH_UNIT_BYTES;
-    if (p->nodes[root].count) { /* a tree of a single leaf still has a node */
+    if (is_leaf(&p->nodes[root])) { /* a tree of a single leaf still has a node */
         plan->child[0] = root;
         plan->count = 1;
     } else {
@@ -126,9 +144,9 @@ static enum err plan_node(struct planner *p, uint32_t root, uint32_t depth, size
     }
     for (uint32_t i = 0; i < plan->count; i++) {
         const struct bvh2_node *child = &p->nodes[plan->child[i]];
-        if (!child->count)
+        if (!is_leaf(child))
             continue;
-        uint32_t primitive = p->refs[child->first].primitive;
+        uint32_t primitive = p->refs[child->left & ~BVH2_LEAF].primitive;
         if (primitive & BVH_REF_OBJECT) {
             plan->offset[i] = (primitive & ~BVH_REF_OBJECT) << BVH_KIND_BITS | BVH_OBJECT;
         } else {
@@ -156,7 +174,7 @@ static enum err plan_all(struct planner *p)
             top--;
             continue;
         }
-        if (p->nodes[p->plans[at].child[slot]].count)
+        if (is_leaf(&p->nodes[p->plans[at].child[slot]]))
             continue;
         size_t made = 0;
         TL_TRY(plan_node(p, p->plans[at].child[slot], p->plans[at].depth + 1, &made));
@@ -175,6 +193,7 @@ struct writer {
     uint32_t edge_bits; /* of edge_unit */
 };
 
+enum { PLANS_PER_TASK = 1024 };
 enum { EDGE_CODES = 256, EDGE_SHIFT = 20 /* three bits of mantissa */ };
 
 static float float_of(uint32_t bits)
@@ -209,10 +228,10 @@ static uint32_t edge_code(const struct bvh_ref *refs, uint32_t count, uint32_t u
 
 static void write_leaf(const struct writer *w, const struct bvh2_node *from, struct bvh_leaf *leaf)
 {
-    const struct bvh_ref *refs = &w->planner->refs[from->first];
-    uint32_t code = edge_code(refs, from->count, w->edge_bits);
+    const struct bvh_ref *refs = &w->planner->refs[from->left & ~BVH2_LEAF];
+    uint32_t code = edge_code(refs, from->right, w->edge_bits);
     for (uint32_t lane = 0; lane < BVH_BLOCK; lane++) {
-        const struct bvh_ref *ref = &refs[lane < from->count ? lane : from->count - 1];
+        const struct bvh_ref *ref = &refs[lane < from->right ? lane : from->right - 1];
         float v[3][3];
         w->vertices(w->ctx, ref, v);
         for (int i = 0; i < 3; i++)
@@ -234,7 +253,7 @@ static void write_node(const struct writer *w, const struct plan *plan)
             node->bounds[2 * k + 1][i] = used ? child->hi[k] : -__builtin_inff();
         }
         node->child[i] = used ? plan->offset[i] : BVH_EMPTY;
-        if (used && child->count && (plan->offset[i] & 3) == BVH_LEAF)
+        if (used && is_leaf(child) && (plan->offset[i] & 3) == BVH_LEAF)
             write_leaf(w, child, (struct bvh_leaf *)bvh_leaf_at(w->out->arena, plan->offset[i]));
     }
 }
@@ -248,7 +267,7 @@ static void measure(const struct planner *p, struct bvh *out)
         out->depth_max = plan->depth > out->depth_max ? plan->depth : out->depth_max;
         for (uint32_t c = 0; c < plan->count; c++) {
             sum += (double)half_area(&p->nodes[plan->child[c]]);
-            out->leaf_count += p->nodes[plan->child[c]].count != 0;
+            out->leaf_count += is_leaf(&p->nodes[plan->child[c]]);
         }
     }
     out->sah_cost = root > 0.0 ? (root + sum) / root : 0.0;
@@ -274,17 +293,26 @@ static uint32_t edge_unit_bits(const struct bvh2_node *root)
     return bits > span + smallest ? bits - span : smallest;
 }
 
-static enum err wide_build(const struct bvh_ref *refs, const struct bvh2_node *nodes,
-                           uint32_t node_limit, bvh_vertices_fn vertices, void *ctx,
-                           struct bvh *out)
+static void write_some(void *arg, size_t index)
+{
+    const struct writer *w = arg;
+    size_t begin = index * PLANS_PER_TASK, end = begin + PLANS_PER_TASK;
+    for (size_t i = begin; i < end && i < w->planner->count; i++)
+        write_node(w, &w->planner->plans[i]);
+}
+
+static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *runner,
+                           bvh_vertices_fn vertices, void *ctx, struct bvh *out)
 {
     enum err err = ERR_NOMEM;
-    struct planner p = {nodes, refs, NULL, NULL, 0, 0, 0};
-    struct choice *choices = mem_alloc_array(node_limit, sizeof *choices);
-    if (!choices)
+    struct choosing choosing = {tree, NULL};
+    struct planner p = {tree->nodes, tree->refs, NULL, NULL, 0, 0, 0};
+    choosing.choices = mem_alloc_aligned(tree->node_limit * sizeof *choosing.choices, 64);
+    if (!choosing.choices)
         goto done;
-    choose_all(nodes, node_limit, choices);
-    p.choices = choices;
+    bvh_run(runner, tree->run_count - 1, choose_task, &choosing);
+    choose_run(&choosing, 0);
+    p.choices = choosing.choices;
     err = plan_all(&p);
     if (err)
         goto done;
@@ -293,35 +321,32 @@ static enum err wide_build(const struct bvh_ref *refs, const struct bvh2_node *n
     err = out->arena ? ERR_OK : ERR_NOMEM;
     if (err)
         goto done;
-    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(&nodes[0])};
-    for (size_t i = 0; i < p.count; i++)
-        write_node(&w, &p.plans[i]);
+    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(&tree->nodes[0])};
+    bvh_run(runner, (p.count + PLANS_PER_TASK - 1) / PLANS_PER_TASK, write_some, &w);
     out->root = 0 << BVH_KIND_BITS | BVH_NODE;
     out->edge_unit = float_of(w.edge_bits);
     measure(&p, out);
 done:
-    mem_free(choices);
+    mem_free(choosing.choices);
     mem_free(p.plans);
     return err;
 }
 
-enum err bvh_new(struct bvh_ref *refs, size_t count, bool median, const struct accel_runner *runner,
-                 bvh_vertices_fn vertices, void *ctx, struct bvh *out)
+enum err bvh_new(struct bvh_ref *refs, size_t count, bool median,
+                 const struct accel_runner *runner, bvh_vertices_fn vertices, void *ctx,
+                 struct bvh *out)
 {
     *out = (struct bvh){.root = BVH_EMPTY};
-    if (count > BVH_PRIMITIVES_MAX)
-        return ERR_LIMIT;
-    if (count == 0)
-        return ERR_OK;
-    size_t limit = bvh2_node_limit(count);
-    struct bvh2_node *nodes = mem_alloc_array(limit, sizeof *nodes);
-    if (!nodes)
-        return ERR_NOMEM;
-    uint32_t used = 0;
-    enum err err = bvh2_build(refs, (uint32_t)count, median, runner, nodes, &used);
-    if (!err)
-        err = wide_build(refs, nodes, used, vertices, ctx, out);
-    mem_free(nodes);
+    if (count == 0 || count > BVH_PRIMITIVES_MAX) {
+        mem_free(refs);
+        return count ? ERR_LIMIT : ERR_OK;
+    }
+    struct bvh2 tree;
+    enum err err = bvh2_build(refs, (uint32_t)count, median, runner, &tree);
+    if (err)
+        return err;
+    err = wide_build(&tree, runner, vertices, ctx, out);
+    bvh2_release(&tree);
     return err;
 }
 
