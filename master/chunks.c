@@ -124,10 +124,11 @@ enum err chunks_open(uv_loop_t *loop, const char *dir, struct chunk_store **out)
     enum err e = s->dir ? make_folder(s->dir) : ERR_NOMEM;
     for (unsigned i = 0; e == ERR_OK && i < 256; i++) {
         char *folder = mem_sprintf("%s/%02x", s->dir, i);
-        e = folder ? make_folder(folder) : ERR_NOMEM;
-        if (e == ERR_OK)
-            e = list_folder(s, folder);
+        e = folder ? list_folder(s, folder) : ERR_NOMEM;
         mem_free(folder);
+        if (e == ERR_NOT_FOUND)
+            e = ERR_OK; /* made when its first chunk comes: 256 mkdirs would cost a short render
+                           most */
     }
     if (e != ERR_OK) {
         chunks_close(s);
@@ -243,8 +244,12 @@ static void put_run(uv_work_t *request)
         chunk_decompress_any(w->frame.data, w->frame.bytes, &w->name, CHUNKS_RAW_BYTES_MAX, &raw);
     w->raw_bytes = raw.bytes;
     buf_release(&raw);
+    char *folder = file_folder(w->path);
+    if (w->result == ERR_OK)
+        w->result = folder ? make_folder(folder) : ERR_NOMEM;
     if (w->result == ERR_OK)
         w->result = write_aside(w);
+    mem_free(folder);
 }
 
 static void put_after(uv_work_t *request, int status)
