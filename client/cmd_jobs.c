@@ -2,6 +2,7 @@
 #include <errno.h>
 #include <math.h>
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "client/command.h"
@@ -46,13 +47,15 @@ static void add_job(struct text_table *t, const struct json *job)
     if (strcmp(state, "rendering") == 0 && reply_range(job, "left_s", left))
         human_left_short(left[0], left[1], text);
     text_table_add(t, text);
-    double workers = reply_number(job, "workers", 0);
+    double workers = reply_number(job, "workers_now", reply_number(job, "workers", 0));
     if (workers > 0)
         text_table_addf(t, "%.0f", workers);
     else
         text_table_add(t, NULL);
     text_table_addf(t, "%.0f", reply_number(job, "priority", 0));
-    human_age(reply_number(job, "age_s", (double)NAN), text);
+    /* A report gives the time of birth, by the master's clock. */
+    double created = reply_number(job, "created", (double)NAN);
+    human_age(reply_number(job, "age_s", fmax(0, (double)time(NULL) - created)), text);
     text_table_add(t, text);
     text_table_add(t, reply_text(job, "note", NULL));
 }

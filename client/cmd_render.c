@@ -222,6 +222,7 @@ static int wait_job(struct render *r, bool *done)
                             .wake_fd = signals_fd(),
                             .on_wake = on_wake,
                             .ctx = r,
+                            .joins_expected = r->farm.worker_count,
                             .patience_s = PATIENCE_S};
     enum follow_end end = follow_job(&follow);
     progress_end(&r->progress);

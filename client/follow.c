@@ -46,9 +46,13 @@ static void take_job(struct watch *w, const struct json *job)
     (void)snprintf(n->state, sizeof n->state, "%s", reply_text(job, "state", n->state));
     n->done = reply_number(job, "done", n->done);
     n->has_left = reply_range(job, "left_s", n->left_s);
-    n->relmse = reply_number(job, "relmse", reply_number(job, "error", n->relmse));
+    const struct json *error = json_get_member(job, "error");
+    n->relmse = error && error->type == JSON_OBJECT
+                    ? reply_number(error, "relmse", n->relmse)
+                    : reply_number(job, "relmse", reply_number(job, "error", n->relmse));
     n->rays_s = reply_number(job, "rays_s", n->rays_s);
-    double workers = reply_number(job, "workers", n->workers);
+    /* In a report `workers` counts all that ever helped. */
+    double workers = reply_number(job, "workers_now", reply_number(job, "workers", n->workers));
     n->workers = workers >= 0 && workers < 1e9 ? (uint32_t)workers : 0;
     bool idle = n->workers == 0 && !is_over(n->state) && strcmp(n->state, "paused") != 0;
     if (!idle)
@@ -80,6 +84,15 @@ static void take_workers(struct watch *w, const struct json *list)
     }
 }
 
+static void take_line(struct watch *w, const char *line)
+{
+    if (w->f->joins_expected > 0 && strstr(line, " joined, ")) {
+        w->f->joins_expected--;
+        return;
+    }
+    progress_event(w->f->progress, line, follow_now_s());
+}
+
 static void on_event(void *ctx, const char *name, const char *data, size_t bytes)
 {
     struct watch *w = ctx;
@@ -92,7 +105,7 @@ static void on_event(void *ctx, const char *name, const char *data, size_t bytes
         if (strcmp(name, "job") == 0 && ours)
             take_job(w, g.root);
         else if (strcmp(name, "log") == 0 && ours)
-            progress_event(w->f->progress, reply_text(g.root, "line", ""), w->last_answer_s);
+            take_line(w, reply_text(g.root, "line", ""));
         else if (strcmp(name, "workers") == 0)
             take_workers(w, g.root);
         else if (strcmp(name, "reset") == 0 || strcmp(name, "hello") == 0)

@@ -24,8 +24,9 @@ struct follow {
     bool (*on_wake)(void *ctx);               /* called after each wait; true stops. May be NULL */
     void (*on_news)(void *ctx, double now_s); /* after each change of the job; may be NULL */
     void *ctx;
-    double patience_s; /* how long the farm may be silent */
-    char state[24];    /* out: the last state known */
+    uint32_t joins_expected; /* so many workers that join are no news */
+    double patience_s;       /* how long the farm may be silent */
+    char state[24];          /* out: the last state known */
 };
 
 enum follow_end follow_job(struct follow *f);

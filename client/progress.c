@@ -45,10 +45,11 @@ static void parts_of(const struct progress_now *now, char parts[PARTS][80])
 {
     char text[HUMAN_BYTES];
     bar_text(now->done < 0 ? 0 : now->done > 1 ? 1 : now->done, BAR_CELLS_MAX, parts[0], 80);
-    if (now->has_left) {
+    parts[1][0] = parts[4][0] = '\0';
+    if (now->has_left && now->done < 1) {
         human_left(now->left_s[0], now->left_s[1], text);
         (void)snprintf(parts[1], 80, " %s left", text);
-    } else {
+    } else if (now->done < 1) {
         (void)snprintf(parts[1], 80, " - left");
     }
     parts[2][0] = parts[3][0] = '\0';
@@ -60,7 +61,8 @@ static void parts_of(const struct progress_now *now, char parts[PARTS][80])
         human_rays(now->rays_s, text);
         (void)snprintf(parts[3], 80, "  %s", text);
     }
-    (void)snprintf(parts[4], 80, "  %u worker%s", now->workers, now->workers == 1 ? "" : "s");
+    if (now->done < 1)
+        (void)snprintf(parts[4], 80, "  %u worker%s", now->workers, now->workers == 1 ? "" : "s");
 }
 
 void progress_text(const struct progress_now *now, int columns, char out[PROGRESS_COLUMNS_MAX])
