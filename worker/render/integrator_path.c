@@ -88,7 +88,7 @@ static void connect_lights(const struct render_scene *scene, struct render_scrat
  * threshold again. */
 static bool survives(const struct render_scene *scene, struct path *path, double u)
 {
-    double carried = rgb_max(path->beta) * path->eta2;
+    double carried = rgb_max(path->beta) * path->eta2 * path->carried;
     double threshold = scene->spec.rr_threshold;
     if (!(carried < threshold))
         return true;
@@ -111,7 +111,8 @@ static bool last_edge_counts(const struct render_scene *scene, bool delta)
 
 /* Draws where the path goes on; false if it ends. */
 static bool scatter(const struct render_scene *scene, struct path *path, const struct shade *at,
-                    const double direction[2], const double choice[SAMPLER_SET_VALUES], vec3 *wi)
+                    const double direction[2], const double choice[SAMPLER_SET_VALUES], bool shares,
+                    vec3 *wi)
 {
     const double u[3] = {direction[0], direction[1], choice[0]};
     struct bsdf_sample sample;
@@ -127,7 +128,8 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     path->eta2 *= sample.eta2;
     path->pdf = delta ? 0 : sample.pdf;
     path->org = at->surface.p;
-    return rgb_max(path->beta) > 0 && survives(scene, path, choice[1]);
+    /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
+    return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choice[1]));
 }
 
 /* One vertex of one path: emission, light sampling, next direction. True if it goes on. */
@@ -147,6 +149,9 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     if (scene->objects[hit->object].light_begin != SCENE_NONE)
         add_emission(scene, path, &at.surface, dir);
     const struct material *m = at.bsdf.material;
+    bool reuse = wave_group_side(scene) > 1;
+    if (reuse && w->reuse[index].state == REUSE_LEFT)
+        reuse_arrive(w, index, &at, dir);
     if (depth >= depth_max || m->type == SCENE_MATERIAL_BLACK)
         return false;
     uint32_t set = (depth - 1) * WAVE_SETS_PER_VERTEX;
@@ -160,7 +165,12 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     path->light_u[0] = u[2];
     path->light_u[1] = u[3];
     vec3 wi;
-    if (!scatter(scene, path, &at, u, choice, &wi))
+    bool shares = false;
+    if (reuse && !m->is_delta && w->reuse[index].state == REUSE_NONE) {
+        reuse_leave(w, index, &at, depth);
+        shares = true;
+    }
+    if (!scatter(scene, path, &at, u, choice, shares, &wi))
         return false;
     const struct surface *s = &at.surface;
     wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);
@@ -180,6 +190,8 @@ void integrate_path(const struct render_scene *scene, struct render_scratch *w)
         w->active_count = kept;
         wave_gather(scene, w);
     }
+    if (wave_group_side(scene) > 1)
+        reuse_combine(scene, w);
 }
 
 /* Ambient occlusion: 1 where a cosine-weighted direction escapes. */

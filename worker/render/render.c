@@ -2,11 +2,13 @@
 
 #include <xmmintrin.h>
 
-#include "worker/render/shade.h"
 #include "worker/render/wave.h"
 
 /* Round to nearest, exceptions masked, no flush to zero. */
 enum { MXCSR_DEFAULT = 0x1f80 };
+
+/* Keeps the numbers of the camera apart from those of the group at the same corner. */
+static const uint64_t CAMERA_SEED = UINT64_C(0x5851f42d4c957f2d);
 
 enum err render_scratch_new(struct render_scratch **out)
 {
@@ -22,124 +24,39 @@ void render_scratch_free(struct render_scratch *s)
     mem_free(s);
 }
 
-/* Sets a ray to go on behind the surface that it hit. `end` is where a shadow ray ends, or NULL. */
-static void pass_through(const struct render_scene *scene, const struct hit *hit, struct ray *ray,
-                         const double *end)
-{
-    struct surface s;
-    surface_of_hit(scene, hit, &s);
-    vec3 dir = v3_of(ray->dir);
-    vec3 org = surface_offset(s.p, s.ng, s.error, dir);
-    v3_put(ray->org, org);
-    if (end)
-        v3_put(ray->dir, v3_sub(v3_of(end), org));
-}
-
-/* Rays that alpha lets through, drawn by opacity, one at a time: such surfaces are few. */
-static void pass_rays(const struct render_scene *scene, struct render_scratch *w)
-{
-    for (uint32_t i = 0; i < w->active_count; i++) {
-        struct path *path = &w->paths[w->active[i]];
-        while (w->hits[i].object != SCENE_NONE) {
-            double opacity = shade_opacity(scene, &w->hits[i]);
-            double u[SAMPLER_SET_VALUES] = {0};
-            if (opacity < 1)
-                sampler_set(&path->sampler, WAVE_SET_PASS + path->passes, u);
-            if (u[0] < opacity || path->passes >= WAVE_PASSES_MAX)
-                break;
-            path->passes++;
-            pass_through(scene, &w->hits[i], &w->rays[i], NULL);
-            accel_closest(scene->accel, &w->rays[i], &w->hits[i]);
-            w->ray_count++;
-        }
-    }
-}
-
-void wave_trace(const struct render_scene *scene, struct render_scratch *w)
-{
-    accel_closest_batch(scene->accel, w->rays, w->active_count, w->hits);
-    w->ray_count += w->active_count;
-    if (scene->has_alpha)
-        pass_rays(scene, w);
-}
-
-void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target, bool distant,
-                 vec3 wi, rgb radiance)
-{
-    struct ray *ray = &w->shadow_rays[w->shadow_count];
-    v3_put(ray->org, org);
-    v3_put(ray->dir, distant ? wi : v3_sub(target, org));
-    ray->tmin = 0;
-    ray->tmax = distant ? INFINITY : 1;
-    w->shadow_path[w->shadow_count] = path;
-    w->shadow_radiance[w->shadow_count] = radiance;
-    w->shadow_count++;
-}
-
-/* What alpha leaves of the light along shadow ray i, which something blocks. */
-static double transmittance(const struct render_scene *scene, struct render_scratch *w, uint32_t i)
-{
-    struct ray *ray = &w->shadow_rays[i];
-    double left = 1, end[3];
-    for (int k = 0; k < 3; k++)
-        end[k] = ray->org[k] + ray->dir[k];
-    for (int passes = 0; passes < WAVE_PASSES_MAX; passes++) {
-        struct hit hit;
-        accel_closest(scene->accel, ray, &hit);
-        w->ray_count++;
-        if (hit.object == SCENE_NONE)
-            return left;
-        left *= 1 - shade_opacity(scene, &hit);
-        if (!(left > 0))
-            return 0;
-        pass_through(scene, &hit, ray, isinf(ray->tmax) ? NULL : end);
-    }
-    return 0;
-}
-
-static void look_through(const struct render_scene *scene, struct render_scratch *w)
-{
-    for (uint32_t i = 0; i < w->shadow_count; i++) {
-        if (!w->occluded[i])
-            continue;
-        double left = transmittance(scene, w, i);
-        w->occluded[i] = left == 0;
-        w->shadow_radiance[i] = rgb_scale(w->shadow_radiance[i], left);
-    }
-}
-
-void wave_gather(const struct render_scene *scene, struct render_scratch *w)
-{
-    accel_occluded_batch(scene->accel, w->shadow_rays, w->shadow_count, w->occluded);
-    w->ray_count += w->shadow_count;
-    if (scene->has_alpha)
-        look_through(scene, w);
-    for (uint32_t i = 0; i < w->shadow_count; i++) {
-        if (w->occluded[i])
-            continue;
-        struct path *path = &w->paths[w->shadow_path[i]];
-        path->radiance = rgb_add(path->radiance, w->shadow_radiance[i]);
-    }
-    w->shadow_count = 0;
-}
-
-/* Walks the samples of a unit in the order of their sums: cells, rows, pixels, samples. */
+/* Walks the groups of a unit, sample by sample: cells, rows of groups, groups, samples. */
 struct cursor {
     const struct grid *grid;
     struct job_block block;
+    uint32_t width, height; /* of the full picture */
+    uint32_t side;          /* of a group */
     uint32_t cell, cell_end;
     struct grid_rect rect;
-    uint32_t column, row; /* in the rect */
-    uint64_t sample;      /* in the block */
+    uint64_t rect_begin; /* pixels of the unit before this cell */
+    uint32_t x, y;       /* the group's corner */
+    uint64_t sample;     /* in the block */
 };
 
-static struct cursor cursor_of(const struct grid *grid, struct unit unit, struct job_block block)
+/* Goes to the first group that meets the cell. */
+static void cursor_enter_cell(struct cursor *c)
 {
-    return (struct cursor){.grid = grid,
-                           .block = block,
-                           .cell = unit.cell_begin,
-                           .cell_end = unit.cell_begin + unit.cell_count,
-                           .rect = grid_cell(grid, unit.cell_begin)};
+    c->rect = grid_cell(c->grid, c->cell);
+    c->x = c->rect.x / c->side * c->side;
+    c->y = c->rect.y / c->side * c->side;
+}
+
+static struct cursor cursor_of(const struct render_scene *scene, const struct grid *grid,
+                               struct unit unit, struct job_block block)
+{
+    struct cursor c = {.grid = grid,
+                       .block = block,
+                       .width = scene->spec.width,
+                       .height = scene->spec.height,
+                       .side = wave_group_side(scene),
+                       .cell = unit.cell_begin,
+                       .cell_end = unit.cell_begin + unit.cell_count};
+    cursor_enter_cell(&c);
+    return c;
 }
 
 static void cursor_next(struct cursor *c)
@@ -147,41 +64,67 @@ static void cursor_next(struct cursor *c)
     if (++c->sample < c->block.count)
         return;
     c->sample = 0;
-    if (++c->column < c->rect.width)
+    c->x += c->side;
+    if (c->x < c->rect.x + c->rect.width)
         return;
-    c->column = 0;
-    if (++c->row < c->rect.height)
+    c->x = c->rect.x / c->side * c->side;
+    c->y += c->side;
+    if (c->y < c->rect.y + c->rect.height)
         return;
-    c->row = 0;
+    c->rect_begin += (uint64_t)c->rect.width * c->rect.height;
     if (++c->cell < c->cell_end)
-        c->rect = grid_cell(c->grid, c->cell);
+        cursor_enter_cell(c);
 }
 
-/* Makes the sample at the cursor a path with its camera ray. */
-static void start_path(const struct render_scene *scene, const struct cursor *c,
-                       struct render_scratch *w, uint32_t index)
+/* The group cut to the picture. */
+static struct grid_rect cursor_group(const struct cursor *c)
+{
+    uint32_t right = c->width - c->x, below = c->height - c->y;
+    return (struct grid_rect){c->x, c->y, right < c->side ? right : c->side,
+                              below < c->side ? below : c->side};
+}
+
+/* The sequence of a group, of which each pixel takes an aligned run: evenly spread within each
+ * pixel, and over all of them. */
+static struct sampler group_sampler(const struct render_scene *scene, const struct cursor *c,
+                                    uint32_t x, uint32_t y)
 {
     const struct job_spec *spec = &scene->spec;
+    uint64_t run = 1;
+    while (run < spec->spp - spec->spp / 2)
+        run *= 2;
+    uint64_t lane = (uint64_t)(y - c->y) * c->side + (x - c->x);
+    uint64_t index = c->block.begin + c->sample;
+    return sampler_of(spec->sampler, spec->seed, c->x, c->y, c->block.half, lane * run + index);
+}
+
+/* Makes the sample of a pixel of the group at the cursor a path with its camera ray. */
+static void start_path(const struct render_scene *scene, const struct cursor *c, uint32_t x,
+                       uint32_t y, struct render_scratch *w)
+{
+    const struct job_spec *spec = &scene->spec;
+    uint32_t index = w->path_count++;
     struct path *path = &w->paths[index];
-    uint32_t x = c->rect.x + c->column, y = c->rect.y + c->row;
-    path->sampler =
-        sampler_of(spec->sampler, spec->seed, x, y, c->block.half, c->block.begin + c->sample);
+    struct sampler own = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, c->block.half,
+                                    c->block.begin + c->sample);
+    path->sampler = group_sampler(scene, c, x, y);
     path->x = x;
     path->y = y;
     path->radiance = rgb_grey(0);
     path->beta = rgb_grey(1);
-    path->eta2 = 1;
+    path->eta2 = path->carried = 1;
     path->pdf = 0;
     path->passes = 0;
+    w->reuse[index].state = REUSE_NONE;
     double u[SAMPLER_SET_VALUES], weight_x, weight_y;
-    sampler_set(&path->sampler, WAVE_SET_CAMERA, u);
+    sampler_set(&own, WAVE_SET_CAMERA, u);
     double film_x = x + 0.5 + film_filter_sample(&scene->filter, u[0], &weight_x);
     double film_y = y + 0.5 + film_filter_sample(&scene->filter, u[1], &weight_y);
     path->filter_weight = weight_x * weight_y;
     path->light_u[0] = u[2];
     path->light_u[1] = u[3];
     if (scene->camera.type == SCENE_CAMERA_THIN_LENS)
-        sampler_set(&path->sampler, WAVE_SET_LENS, u);
+        sampler_set(&own, WAVE_SET_LENS, u);
     vec3 dir;
     camera_ray(&scene->camera, film_x, film_y, u, &path->org, &dir);
     wave_continue(w, index, index, path->org, dir);
@@ -189,13 +132,17 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
 
 static void fill_wave(const struct render_scene *scene, struct cursor *c, struct render_scratch *w)
 {
-    uint32_t count = 0;
-    for (; count < WAVE_PATHS && c->cell < c->cell_end; count++) {
-        start_path(scene, c, w, count);
+    w->path_count = w->group_count = w->shadow_count = 0;
+    while (c->cell < c->cell_end && w->path_count + c->side * c->side <= WAVE_PATHS) {
+        struct grid_rect g = cursor_group(c);
+        w->groups[w->group_count++] = w->path_count;
+        for (uint32_t y = 0; y < g.height; y++)
+            for (uint32_t x = 0; x < g.width; x++)
+                start_path(scene, c, g.x + x, g.y + y, w);
         cursor_next(c);
     }
-    w->path_count = w->active_count = count;
-    w->shadow_count = 0;
+    w->groups[w->group_count] = w->path_count;
+    w->active_count = w->path_count;
 }
 
 static void integrate(const struct render_scene *scene, struct render_scratch *w)
@@ -213,45 +160,58 @@ static void integrate(const struct render_scene *scene, struct render_scratch *w
     }
 }
 
-/* The sums of the pixel being added up, and where it goes. */
+/* The sums of the group being added up. */
 struct sums {
-    rgb sum;
-    uint64_t samples; /* added to it so far */
-    uint64_t pixel;   /* its place in the planes */
-    uint64_t plane;   /* pixels in a plane */
+    struct cursor at;
+    rgb pixels[WAVE_GROUP_PATHS];
+    uint64_t plane; /* pixels in a plane */
     float *rgb;
 };
 
-static void count_nonfinite(const struct render_scene *scene, const struct path *path,
-                            uint32_t half, struct render_counters *counters)
+/* The place of a pixel in the unit's planes; false when it is not of the cell. */
+static bool place_of(const struct cursor *c, uint32_t x, uint32_t y, uint64_t *place)
 {
+    const struct grid_rect *r = &c->rect;
+    if (x < r->x || x - r->x >= r->width || y < r->y || y - r->y >= r->height)
+        return false;
+    *place = c->rect_begin + (uint64_t)(y - r->y) * r->width + (x - r->x);
+    return true;
+}
+
+static void count_nonfinite(const struct render_scene *scene, const struct path *path,
+                            const struct cursor *c, struct render_counters *counters)
+{
+    uint64_t place;
+    if (!place_of(c, path->x, path->y, &place))
+        return;
     if (counters->nonfinite++ == 0) {
         counters->nonfinite_pixel = (uint64_t)path->y * scene->spec.width + path->x;
-        counters->nonfinite_sample = job_sample_number(half, path->sampler.index);
+        counters->nonfinite_sample = job_sample_number(c->block.half, c->block.begin + c->sample);
     }
 }
 
-/* Adds the wave's samples to their pixels, in the order of the cursor. */
-static void add_wave(const struct render_scene *scene, const struct render_scratch *w,
-                     const struct job_block *block, struct sums *sums,
-                     struct render_counters *counters)
+/* Adds the paths of one sample of a group; behind the last sample, writes the pixels. */
+static void add_group(const struct render_scene *scene, const struct path *paths, uint32_t count,
+                      struct sums *sums, struct render_counters *counters)
 {
-    for (uint32_t i = 0; i < w->path_count; i++) {
-        const struct path *path = &w->paths[i];
-        rgb value = rgb_scale(path->radiance, path->filter_weight);
+    bool last = sums->at.sample + 1 == sums->at.block.count;
+    for (uint32_t i = 0; i < count; i++) {
+        rgb value = rgb_scale(paths[i].radiance, paths[i].filter_weight);
         if (rgb_is_finite(value))
-            sums->sum = rgb_add(sums->sum, value);
+            sums->pixels[i] = rgb_add(sums->pixels[i], value);
         else
-            count_nonfinite(scene, path, block->half, counters);
-        if (++sums->samples < block->count)
+            count_nonfinite(scene, &paths[i], &sums->at, counters);
+        uint64_t place;
+        if (!last)
             continue;
-        sums->rgb[sums->pixel] = (float)sums->sum.r;
-        sums->rgb[sums->plane + sums->pixel] = (float)sums->sum.g;
-        sums->rgb[2 * sums->plane + sums->pixel] = (float)sums->sum.b;
-        sums->pixel++;
-        sums->samples = 0;
-        sums->sum = rgb_grey(0);
+        if (place_of(&sums->at, paths[i].x, paths[i].y, &place)) {
+            sums->rgb[place] = (float)sums->pixels[i].r;
+            sums->rgb[sums->plane + place] = (float)sums->pixels[i].g;
+            sums->rgb[2 * sums->plane + place] = (float)sums->pixels[i].b;
+        }
+        sums->pixels[i] = rgb_grey(0);
     }
+    cursor_next(&sums->at);
 }
 
 enum err render_unit(const struct render_scene *scene, const struct grid *grid, struct unit unit,
@@ -261,9 +221,10 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
     struct job_blocks blocks = job_blocks_of(scene->spec.spp);
     TL_ASSERT(grid_has_unit(grid, &blocks, unit));
     struct job_block block = job_block_at(&blocks, unit.block);
-    struct sums sums = {.plane = grid_pixels(grid, unit.cell_begin, unit.cell_count),
+    struct cursor cursor = cursor_of(scene, grid, unit, block);
+    struct sums sums = {.at = cursor,
+                        .plane = grid_pixels(grid, unit.cell_begin, unit.cell_count),
                         .rgb = rgb_sums};
-    struct cursor cursor = cursor_of(grid, unit, block);
     *counters = (struct render_counters){.samples = sums.plane * block.count,
                                          .nonfinite_pixel = UINT64_MAX};
     scratch->ray_count = 0;
@@ -277,7 +238,11 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
         }
         fill_wave(scene, &cursor, scratch);
         integrate(scene, scratch);
-        add_wave(scene, scratch, &block, &sums, counters);
+        for (uint32_t g = 0; g < scratch->group_count; g++) {
+            uint32_t begin = scratch->groups[g];
+            add_group(scene, scratch->paths + begin, scratch->groups[g + 1] - begin, &sums,
+                      counters);
+        }
     }
     _mm_setcsr(mxcsr);
     counters->rays = scratch->ray_count;

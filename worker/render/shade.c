@@ -73,7 +73,8 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
         s->ns = mapped_normal(scene, m, s);
     /* A shading normal seen from behind where the surface is seen from the front, or the other
      * way about, says nothing: the geometric one takes over. */
-    if ((v3_dot(wo, s->ns) > 0) != (v3_dot(wo, s->ng) > 0))
+    out->bent = (v3_dot(wo, s->ns) > 0) != (v3_dot(wo, s->ng) > 0);
+    if (out->bent)
         s->ns = s->ng;
     out->frame = m->is_anisotropic ? frame_along(s->ns, s->dpdu) : frame_of(s->ns);
     out->wo = frame_to_local(&out->frame, wo);

@@ -11,7 +11,8 @@ struct shade {
     struct surface surface;
     frame frame; /* n is the shading normal */
     struct bsdf bsdf;
-    vec3 wo; /* local */
+    vec3 wo;   /* local */
+    bool bent; /* the shading normal was of no use, the geometric one stands for it */
 };
 
 /* How opaque the surface is at a hit, 0 to 1. */

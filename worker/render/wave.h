@@ -2,24 +2,33 @@
  *
  * An integrator gets a wave of samples with their camera rays, follows them all at
  * once through the batch calls of accel.h, and leaves the radiance of each in
- * path.radiance. The order of work within a wave never reaches the result: a path's
- * numbers depend on the path alone. One thread.
+ * path.radiance. A wave consists of whole groups; the order of work within it never
+ * reaches the result: a path's numbers depend on its group alone. One thread.
+ *
+ * A group is one sample of each pixel of a square of the full picture, aligned to it
+ * and cut only by its border, whatever the cells and the crop; its paths may share
+ * what they found (reuse.h). Without sharing a group is one pixel.
  */
 #ifndef WORKER_RENDER_WAVE_H
 #define WORKER_RENDER_WAVE_H
 
 #include "worker/render/render.h"
-#include "worker/render/render_scene.h"
+#include "worker/render/reuse.h"
 #include "worker/render/sampler.h"
 
-enum { WAVE_PATHS = 1024 };
+enum {
+    WAVE_PATHS = 1024,
+    WAVE_GROUP_SIDE = 4, /* pixels */
+    WAVE_GROUP_PATHS = WAVE_GROUP_SIDE * WAVE_GROUP_SIDE,
+};
 
 struct path {
-    struct sampler sampler;
+    struct sampler sampler; /* of the group; the camera's numbers come from the pixel's own */
     rgb radiance;
     rgb beta; /* throughput */
     double filter_weight;
     double eta2;       /* product of the index ratios that beta was scaled by, undone in roulette */
+    double carried;    /* what beta is multiplied by in roulette: throughput set aside by reuse */
     double pdf;        /* with which the last direction was drawn; 0: by a delta lobe, or camera */
     vec3 org;          /* where the last direction left from, for the pdf of lights */
     double light_u[2]; /* where on a light the next vertex looks */
@@ -29,7 +38,10 @@ struct path {
 
 struct render_scratch {
     struct path paths[WAVE_PATHS];
+    struct reuse reuse[WAVE_PATHS]; /* of the path of the same number */
     uint32_t path_count;
+    uint32_t groups[WAVE_PATHS + 1]; /* the first path of each group, then path_count */
+    uint32_t group_count;
 
     /* Rays under way: rays[i] belongs to paths[active[i]]. */
     struct ray rays[WAVE_PATHS];
@@ -44,6 +56,8 @@ struct render_scratch {
     uint32_t shadow_path[WAVE_PATHS];
     uint8_t occluded[WAVE_PATHS];
     uint32_t shadow_count;
+
+    struct reuse_connections connections;
 
     uint64_t ray_count; /* cast so far in this unit */
 };
@@ -84,6 +98,9 @@ static inline void wave_continue(struct render_scratch *w, uint32_t slot, uint32
     ray->tmax = INFINITY;
     w->active[slot] = path;
 }
+
+/* The side of a group of this scene, in pixels. */
+uint32_t wave_group_side(const struct render_scene *scene);
 
 /* The integrators. */
 void integrate_seed(const struct render_scene *scene, struct render_scratch *w);

@@ -1,0 +1,109 @@
+#include "worker/render/wave.h"
+
+#include "worker/render/shade.h"
+
+uint32_t wave_group_side(const struct render_scene *scene)
+{
+    return reuse_wanted(scene) ? WAVE_GROUP_SIDE : 1;
+}
+
+/* Sets a ray to go on behind the surface that it hit. `end` is where a shadow ray ends, or NULL. */
+static void pass_through(const struct render_scene *scene, const struct hit *hit, struct ray *ray,
+                         const double *end)
+{
+    struct surface s;
+    surface_of_hit(scene, hit, &s);
+    vec3 dir = v3_of(ray->dir);
+    vec3 org = surface_offset(s.p, s.ng, s.error, dir);
+    v3_put(ray->org, org);
+    if (end)
+        v3_put(ray->dir, v3_sub(v3_of(end), org));
+}
+
+/* Rays that alpha lets through, drawn by opacity, one at a time: such surfaces are few. */
+static void pass_rays(const struct render_scene *scene, struct render_scratch *w)
+{
+    for (uint32_t i = 0; i < w->active_count; i++) {
+        struct path *path = &w->paths[w->active[i]];
+        while (w->hits[i].object != SCENE_NONE) {
+            double opacity = shade_opacity(scene, &w->hits[i]);
+            double u[SAMPLER_SET_VALUES] = {0};
+            if (opacity < 1)
+                sampler_set(&path->sampler, WAVE_SET_PASS + path->passes, u);
+            if (u[0] < opacity || path->passes >= WAVE_PASSES_MAX)
+                break;
+            path->passes++;
+            pass_through(scene, &w->hits[i], &w->rays[i], NULL);
+            accel_closest(scene->accel, &w->rays[i], &w->hits[i]);
+            w->ray_count++;
+        }
+    }
+}
+
+void wave_trace(const struct render_scene *scene, struct render_scratch *w)
+{
+    accel_closest_batch(scene->accel, w->rays, w->active_count, w->hits);
+    w->ray_count += w->active_count;
+    if (scene->has_alpha)
+        pass_rays(scene, w);
+}
+
+void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target, bool distant,
+                 vec3 wi, rgb radiance)
+{
+    struct ray *ray = &w->shadow_rays[w->shadow_count];
+    v3_put(ray->org, org);
+    v3_put(ray->dir, distant ? wi : v3_sub(target, org));
+    ray->tmin = 0;
+    ray->tmax = distant ? INFINITY : 1;
+    w->shadow_path[w->shadow_count] = path;
+    w->shadow_radiance[w->shadow_count] = radiance;
+    w->shadow_count++;
+}
+
+/* What alpha leaves of the light along shadow ray i, which something blocks. */
+static double transmittance(const struct render_scene *scene, struct render_scratch *w, uint32_t i)
+{
+    struct ray *ray = &w->shadow_rays[i];
+    double left = 1, end[3];
+    for (int k = 0; k < 3; k++)
+        end[k] = ray->org[k] + ray->dir[k];
+    for (int passes = 0; passes < WAVE_PASSES_MAX; passes++) {
+        struct hit hit;
+        accel_closest(scene->accel, ray, &hit);
+        w->ray_count++;
+        if (hit.object == SCENE_NONE)
+            return left;
+        left *= 1 - shade_opacity(scene, &hit);
+        if (!(left > 0))
+            return 0;
+        pass_through(scene, &hit, ray, isinf(ray->tmax) ? NULL : end);
+    }
+    return 0;
+}
+
+static void look_through(const struct render_scene *scene, struct render_scratch *w)
+{
+    for (uint32_t i = 0; i < w->shadow_count; i++) {
+        if (!w->occluded[i])
+            continue;
+        double left = transmittance(scene, w, i);
+        w->occluded[i] = left == 0;
+        w->shadow_radiance[i] = rgb_scale(w->shadow_radiance[i], left);
+    }
+}
+
+void wave_gather(const struct render_scene *scene, struct render_scratch *w)
+{
+    accel_occluded_batch(scene->accel, w->shadow_rays, w->shadow_count, w->occluded);
+    w->ray_count += w->shadow_count;
+    if (scene->has_alpha)
+        look_through(scene, w);
+    for (uint32_t i = 0; i < w->shadow_count; i++) {
+        if (w->occluded[i])
+            continue;
+        struct path *path = &w->paths[w->shadow_path[i]];
+        path->radiance = rgb_add(path->radiance, w->shadow_radiance[i]);
+    }
+    w->shadow_count = 0;
+}
