@@ -386,6 +386,12 @@ static void heartbeat(struct farm *f, struct worker *w, const tilery_Heartbeat *
     if (conn_queued_bytes(w->conn) < QUEUE_BYTES_EARLY)
         send_to(w, &answer, NULL);
     serve_chunks(f, w);
+    if (m->draining && !w->draining) {
+        w->draining = true;
+        struct sched_event event = {.type = SCHED_WORKER_DRAIN, .worker = w->id};
+        farm_feed(f, &event);
+        workers_changed(f, w);
+    }
     if (m->rtt_us > 0 && m->rtt_us != w->rtt_us) {
         w->rtt_us = m->rtt_us;
         struct sched_event event = {.type = SCHED_WORKER_RTT, .worker = w->id, .rtt_us = m->rtt_us};
@@ -561,6 +567,9 @@ enum err workers_listen(struct farm *f, const char *address)
 
 void workers_stop(struct farm *f)
 {
+    if (f->listener)
+        listener_close(f->listener);
+    f->listener = NULL;
     struct message m = {.type = FRAME_REFUSE};
     m.refuse.reason = tilery_RefuseReason_REFUSE_SHUTDOWN;
     MESSAGE_TEXT(m.refuse.text, "the master stops; come back later");
