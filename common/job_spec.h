@@ -18,8 +18,8 @@
 #define JOB_SAMPLERS(X) X(SOBOL, "sobol") X(HALTON, "halton") X(INDEPENDENT, "independent")
 #define JOB_FILTERS(X)                                                                             \
     X(BOX, "box")                                                                                  \
-    X(TENT, "tent") X(GAUSSIAN, "gaussian") X(MITCHELL, "mitchell")                                \
-        X(BLACKMAN_HARRIS, "blackman-harris")
+    X(TENT, "tent")                                                                                \
+    X(GAUSSIAN, "gaussian") X(MITCHELL, "mitchell") X(BLACKMAN_HARRIS, "blackman-harris")
 #define JOB_BUILDERS(X)     X(SAH, "sah") X(MEDIAN, "median") X(NONE, "none")
 #define JOB_INTERSECTORS(X) X(WOOP, "woop") X(MOLLER_TRUMBORE, "moller-trumbore")
 #define JOB_PRECISIONS(X)   X(EXACT, "exact") X(FAST, "fast")

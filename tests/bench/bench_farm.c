@@ -158,9 +158,9 @@ static double farm_seconds(const struct options *o, uint32_t side, uint64_t spp,
     char spp_text[32], size[32];
     (void)snprintf(spp_text, sizeof spp_text, "%llu", (unsigned long long)spp);
     (void)snprintf(size, sizeof size, "%ux%u", side, side);
-    char *args[] = {"tilery",    "render", (char *)o->scene, "-o",        (char *)out,
-                    "--workers", "2",      "--threads",      "1",         "--spp",
-                    spp_text,    "--size", size,             "--quiet",   NULL};
+    char *args[] = {
+        "tilery", "render", (char *)o->scene, "-o",     (char *)out, "--workers", "2", "--threads",
+        "1",      "--spp",  spp_text,         "--size", size,        "--quiet",   NULL};
     double begin = now_s();
     finish(start("tilery", args, NULL), "tilery render failed");
     return now_s() - begin;
@@ -190,8 +190,8 @@ static void farm_start(struct farm *f)
     (void)snprintf(f->folder, sizeof f->folder, "/tmp/bench_farm.XXXXXX");
     if (!mkdtemp(f->folder))
         fail("mkdtemp");
-    char *master_args[] = {"tilery-master", "--listen", "127.0.0.1:0", "--http", "127.0.0.1:0",
-                           "--data",        f->folder,  NULL};
+    char *master_args[] = {"tilery-master", "--listen", "127.0.0.1:0", "--http",
+                           "127.0.0.1:0",   "--data",   f->folder,     NULL};
     f->master = start("tilery-master", master_args, &f->outputs[0]);
     if (!fgets(line, sizeof line, f->outputs[0]))
         fail("the master did not start");
@@ -226,8 +226,8 @@ static void farm_stop(struct farm *f)
 /* Milliseconds a small job costs on a running farm besides its rendering. */
 static double per_job_ms(const struct options *o, const char *out)
 {
-    char *args[] = {"tilery", "submit", (char *)o->scene, "--size", "64x64",    "--spp",
-                    "2",      "--wait", "-o",             (char *)out, "--quiet", NULL};
+    char *args[] = {"tilery", "submit", (char *)o->scene, "--size",  "64x64", "--spp", "2",
+                    "--wait", "-o",     (char *)out,      "--quiet", NULL};
     double begin = now_s();
     for (int i = 0; i < JOBS_PER_RUN; i++) {
         FILE *ignored;
@@ -281,12 +281,10 @@ static void push(struct series *s, double value)
 
 static void parse(int argc, char **argv, struct options *o)
 {
-    static const struct option table[] = {{"quick", no_argument, NULL, 'q'},
-                                          {"json", required_argument, NULL, 'j'},
-                                          {"scene", required_argument, NULL, 's'},
-                                          {"spp", required_argument, NULL, 'n'},
-                                          {"runs", required_argument, NULL, 'r'},
-                                          {0}};
+    static const struct option table[] = {
+        {"quick", no_argument, NULL, 'q'},       {"json", required_argument, NULL, 'j'},
+        {"scene", required_argument, NULL, 's'}, {"spp", required_argument, NULL, 'n'},
+        {"runs", required_argument, NULL, 'r'},  {0}};
     *o = (struct options){.scene = "scenes/glass_cbox.json", .spp = 256, .runs = 5};
     for (int c; (c = getopt_long(argc, argv, "", table, NULL)) != -1;) {
         if (c == 'q')

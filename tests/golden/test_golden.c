@@ -1,7 +1,7 @@
 /* tests/golden/test_golden.c: one digest a scene, on every build, compiler and CPU.
  *
- * Renders small versions of scenes/ through render_unit() with each builder and compares the SHA-256
- * of all block sums with tests/golden/digests.txt ("SCENE HEX" a line).
+ * Renders small versions of scenes/ through render_unit() with each builder and compares the
+ * SHA-256 of all block sums with tests/golden/digests.txt ("SCENE HEX" a line).
  *
  * usage: test_golden [--update]   run in the top folder; --update writes the file anew. A change of
  *        a digest is a change of every user's pictures: raise DETERMINISM_NUMBER with it.
@@ -16,9 +16,9 @@
 #include "worker/render/render.h"
 #include "worker/scene/scene_build.h"
 
-static const char *const scenes[] = {"cbox_no_light", "cbox_no_light_refract", "cbox",
-                                     "glass_cbox",    "veach",                 "two_spheres",
-                                     "sphere"};
+static const char *const scenes[] = {
+    "cbox_no_light", "cbox_no_light_refract", "cbox",  "glass_cbox",
+    "veach",         "two_spheres",           "sphere"};
 enum { SCENE_COUNT = sizeof scenes / sizeof *scenes, SIDE = 40, SPP = 8, FAILED = -1 };
 static const char digests_file[] = "tests/golden/digests.txt";
 
