@@ -163,3 +163,21 @@ void import_frame(struct import *im)
         frame_object(&f, c);
     }
 }
+
+bool import_camera_valid(const struct scene_camera *c)
+{
+    double to[3], up[3], dd = 0, uu = 0, cc = 0;
+    for (int i = 0; i < 3; i++) {
+        to[i] = c->look_at[i] - c->position[i];
+        up[i] = c->ref_up[i];
+        dd += to[i] * to[i];
+        uu += up[i] * up[i];
+    }
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        double cross = to[j] * up[k] - to[k] * up[j];
+        cc += cross * cross;
+    }
+    return isfinite(dd * uu) && dd > 0 && uu > 0 && cc > 1e-12 * dd * uu && c->fov > 0 &&
+           c->fov < 180;
+}

@@ -88,6 +88,16 @@ enum err import_image_file(struct import *im, const char *path, enum image_use u
     return e;
 }
 
+static enum err keep(struct import_source *s, const void *data, size_t bytes)
+{
+    s->data = mem_alloc(bytes);
+    if (!s->data)
+        return ERR_NOMEM;
+    memcpy(s->data, data, bytes);
+    s->bytes = bytes;
+    return ERR_OK;
+}
+
 enum err import_image_bytes(struct import *im, const char *key, const void *data, size_t bytes,
                             enum image_use use, uint32_t *out)
 {
@@ -100,6 +110,8 @@ enum err import_image_bytes(struct import *im, const char *key, const void *data
         if (e != ERR_OK)
             return e;
         TL_TRY(remember(im, key, NULL, use, image));
+        if (im->keep_bytes && image != SCENE_NONE)
+            TL_TRY(keep(&im->sources[im->source_count - 1], data, bytes));
     }
     *out = known ? known->image : image;
     return ERR_OK;

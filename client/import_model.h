@@ -18,7 +18,9 @@ struct import_source {
     char *key;  /* what was asked for: path, or "#n" inside the model; NULL: made here */
     char *path; /* a file beside the model; NULL: inside the model */
     enum image_use use;
-    uint32_t image;
+    uint32_t image;      /* SCENE_NONE: it cannot be had, which has been said */
+    unsigned char *data; /* its file's bytes, if it has no path and keep_bytes is set */
+    size_t bytes;
 };
 
 struct import {
@@ -30,6 +32,7 @@ struct import {
         light_capacity;
     struct import_source *sources;
     size_t source_count, source_capacity;
+    bool keep_bytes; /* of pictures inside the model, so that they can be written as they are */
     bool has_camera;
     double aspect; /* width over height that the camera asks for; 0: any */
     bool has_lamp; /* a light without a surface, or an emitter brighter than white paper */
@@ -100,8 +103,17 @@ TL_NODISCARD enum err import_sky(struct import *im);
 /* Reads a model into an initialised `im`, finished. */
 TL_NODISCARD enum err import_run(struct import *im, struct job_spec *spec);
 
+/* Writes the scene as `path`, its meshes and the pictures that are no files into folders beside
+ * it. On failure *failed is the file that could not be written; you own it. ERR_IO, ERR_NOSPACE,
+ * ERR_NOT_FOUND (no such folder), ERR_NOMEM. */
+TL_NODISCARD enum err import_write(const struct import *im, const struct job_spec *spec,
+                                   const char *path, char **failed);
+
 /* The bounds of all objects in world space. */
 void import_bounds(const struct import *im, double low[3], double high[3]);
+
+/* True if the camera looks somewhere, upright, with numbers in range. */
+TL_NODISCARD bool import_camera_valid(const struct scene_camera *c);
 
 /* out = m * p for an affine row-major 4x4. */
 void import_transform_point(const double m[16], const double p[3], double out[3]);

@@ -20,6 +20,7 @@ void import_release(struct import *im)
     for (size_t i = 0; i < im->source_count; i++) {
         mem_free(im->sources[i].key);
         mem_free(im->sources[i].path);
+        mem_free(im->sources[i].data);
     }
     mem_free(im->sources);
     mem_free(im->folder);

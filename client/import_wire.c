@@ -1,7 +1,9 @@
 #include "client/import_wire.h"
 
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "common/mem.h"
 #include "common/package.h"
@@ -53,37 +55,70 @@ static void put_pictures(struct buf *out, const struct import_message *m)
     }
 }
 
-static enum err put_package(struct buf *out, const struct scene *scene)
+static enum err send_all(int fd, const void *data, size_t bytes)
+{
+    const char *at = data;
+    while (bytes > 0) {
+        ssize_t wrote = write(fd, at, bytes);
+        if (wrote < 0 && errno == EINTR)
+            continue;
+        if (wrote <= 0)
+            return ERR_IO;
+        at += wrote;
+        bytes -= (size_t)wrote;
+    }
+    return ERR_OK;
+}
+
+static enum err send_chunk(int fd, const struct package_chunk *c)
+{
+    struct buf head;
+    buf_init(&head);
+    buf_put(&head, c->name.bytes, DIGEST_BYTES);
+    buf_put_u64(&head, c->bytes);
+    enum err e = buf_status(&head);
+    if (e == ERR_OK)
+        e = send_all(fd, head.data, head.bytes);
+    buf_release(&head);
+    return e == ERR_OK ? send_all(fd, c->data, c->bytes) : e;
+}
+
+static enum err send_package(int fd, struct buf *head, const struct scene *scene)
 {
     struct package package;
     TL_TRY(package_write(scene, &package));
-    buf_put_u32(out, (uint32_t)package.count);
-    for (size_t i = 0; i < package.count; i++) {
-        const struct package_chunk *c = &package.chunks[i];
-        buf_put(out, c->name.bytes, DIGEST_BYTES);
-        buf_put_u64(out, c->bytes);
-        buf_put(out, c->data, c->bytes);
-    }
+    buf_put_u32(head, (uint32_t)package.count);
+    enum err e = buf_status(head);
+    if (e == ERR_OK)
+        e = send_all(fd, head->data, head->bytes);
+    for (size_t i = 0; i < package.count && e == ERR_OK; i++)
+        e = send_chunk(fd, &package.chunks[i]);
     package_release(&package);
-    return buf_status(out);
+    return e;
 }
 
-enum err import_wire_put(const struct import *im, const struct import_message *m, enum err result,
-                         struct buf *out)
+enum err import_wire_send(int fd, const struct import *im, const struct import_message *m,
+                          enum err result)
 {
-    buf_put(out, magic, sizeof magic);
-    buf_put_u32(out, IMPORT_WIRE_VERSION);
-    buf_put_u32(out, (uint32_t)result);
-    buf_put_u64(out, im->point_count);
-    buf_put_u64(out, im->line_count);
-    buf_put_u8(out, im->has_camera);
-    buf_put_u8(out, im->has_lamp);
-    buf_put_f64(out, im->aspect);
-    put_said(out, im->problems);
-    put_pictures(out, m);
-    if (result != ERR_OK)
-        return buf_status(out);
-    return put_package(out, &im->scene);
+    struct buf head;
+    buf_init(&head);
+    buf_put(&head, magic, sizeof magic);
+    buf_put_u32(&head, IMPORT_WIRE_VERSION);
+    buf_put_u32(&head, (uint32_t)result);
+    buf_put_u64(&head, im->point_count);
+    buf_put_u64(&head, im->line_count);
+    buf_put_u8(&head, im->has_camera);
+    buf_put_u8(&head, im->has_lamp);
+    buf_put_f64(&head, im->aspect);
+    put_said(&head, im->problems);
+    put_pictures(&head, m);
+    enum err e = buf_status(&head);
+    if (e == ERR_OK && result == ERR_OK)
+        e = send_package(fd, &head, &im->scene);
+    else if (e == ERR_OK)
+        e = send_all(fd, head.data, head.bytes);
+    buf_release(&head);
+    return e;
 }
 
 /* --- Reading ------------------------------------------------------------- */

@@ -17,6 +17,9 @@ enum {
     IMPORT_WIRE_SAID_MAX = 64,
     IMPORT_WIRE_PICTURES_MAX = 1 << 14,
     IMPORT_WIRE_TEXT_BYTES_MAX = 4096,
+    IMPORT_CHILD_FD = 3,     /* where the child writes its message */
+    IMPORT_CHILD_NOMEM = 5,  /* its exit statuses: out of memory, */
+    IMPORT_CHILD_FAILED = 4, /* anything else but 0, a whole message */
 };
 
 /* A picture for the texture of that name: a file, or bytes inside the model. */
@@ -35,10 +38,10 @@ struct import_message {
 
 void import_message_release(struct import_message *m);
 
-/* Appends the message of a child that ended with `result`: what im->problems holds and, on ERR_OK,
- * the scene. ERR_NOMEM. */
-TL_NODISCARD enum err import_wire_put(const struct import *im, const struct import_message *m,
-                                      enum err result, struct buf *out);
+/* Writes the message of a child that ended with `result`: what im->problems holds and, on ERR_OK,
+ * the scene, which satisfies scene_check. ERR_NOMEM, ERR_IO. */
+TL_NODISCARD enum err import_wire_send(int fd, const struct import *im,
+                                       const struct import_message *m, enum err result);
 
 /* Fills an initialised `im`; the pictures borrow from `data`. Problems of the child become
  * problems here. ERR_CORRUPT, ERR_NOMEM, or the child's result. */

@@ -1,26 +1,21 @@
 #include "client/load.h"
 
 #include <string.h>
-#include <strings.h>
 
 #include "client/cli.h"
+#ifdef TILERY_HAS_IMPORT
+#include "client/import.h"
+#endif
 #include "common/mem.h"
 #include "common/scene_json.h"
 
-static bool has_suffix(const char *text, const char *suffix)
+static enum err read_scene(struct load *load, const char *path)
 {
-    size_t a = strlen(text), b = strlen(suffix);
-    return a >= b && strcasecmp(text + a - b, suffix) == 0;
-}
-
-static bool is_model(const char *path)
-{
-    static const char *const suffixes[] = {".obj", ".ply", ".gltf", ".glb",  ".fbx",
-                                           ".stl", ".dae", ".3ds",  ".blend"};
-    for (size_t i = 0; i < sizeof suffixes / sizeof *suffixes; i++)
-        if (has_suffix(path, suffixes[i]))
-            return true;
-    return false;
+#ifdef TILERY_HAS_IMPORT
+    if (import_is_model(path))
+        return import_model(path, &load->scene, &load->spec, &load->problems);
+#endif
+    return scene_json_read_file(path, &load->scene, &load->spec, &load->problems);
 }
 
 static void take_choices(struct job_spec *spec, const struct cli_line *line)
@@ -103,14 +98,7 @@ void load_scene(struct load *load, const struct cli_line *line, bool scene_only)
     const char *path = line->arguments[0];
     *load = (struct load){0};
     diag_init(&load->problems);
-    if (is_model(path)) {
-        diag_add(&load->problems, DIAG_ERROR, (struct diag_place){.file = path}, "not-built",
-                 "write a scene JSON whose objects name the model",
-                 "rendering a model file without a scene is not built yet");
-        load->status = EXIT_USAGE;
-        return;
-    }
-    enum err e = scene_json_read_file(path, &load->scene, &load->spec, &load->problems);
+    enum err e = read_scene(load, path);
     if (e != ERR_OK) {
         load->status = e == ERR_NOMEM ? EXIT_MACHINE : EXIT_INPUT;
         return;
