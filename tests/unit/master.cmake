@@ -1,0 +1,4 @@
+# Film, journal and store.
+tilery_test(test_film LABEL unit LINKS tl_master m SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/test_film.c)
+tilery_test(test_journal LABEL unit LINKS tl_master m SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/test_journal.c)
+tilery_test(test_store LABEL unit LINKS tl_master m SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/test_store.c TIMEOUT 300)
