@@ -499,7 +499,7 @@ static void test_flipped_bits(void **state)
     (void)snprintf(path, sizeof path, "%s/jobs/%d/seg-1", folder, JOB);
     long bits = file_bytes(path) * 8;
     /* Index and file are put back each time, so that one life is tried again and again. */
-    char keep[256], restore[256];
+    char keep[512], restore[512];
     (void)snprintf(keep, sizeof keep, "cp '%s/store.db' '%s/keep.db' && cp '%s' '%s/keep.seg'",
                    folder, folder, path, folder);
     (void)snprintf(restore, sizeof restore,
