@@ -71,7 +71,8 @@ static enum err parse_header(struct reader *r, uint64_t *width, uint64_t *height
             return cut_short(r);
         if (line_is(line, bytes, "FORMAT=") && !line_is(line, bytes, "FORMAT=32-bit_rle_rgbe"))
             return image_problem(r->problems, r->file, "hdr-header",
-                                 "%.60s is not supported, expected FORMAT=32-bit_rle_rgbe", line);
+                                 "%.*s is not supported, expected FORMAT=32-bit_rle_rgbe",
+                                 bytes < 60 ? (int)bytes : 60, line);
     } while (bytes > 0 && !(bytes == 1 && line[0] == '\r'));
     return parse_size(r, width, height);
 }
