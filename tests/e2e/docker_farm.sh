@@ -63,8 +63,8 @@ farm_hash=$("$TILERY_BIN/tilery" status "$job" --json | hash_of)
 local_hash=$(hash_of <"$scratch/local.json")
 workers=$("$TILERY_BIN/tilery" status "$job" --json |
     python3 -c 'import json, sys; print(json.load(sys.stdin)["workers"])')
-"$TILERY_BIN/tilery" compare "$scratch/docker.exr" "$scratch/local.exr" --identical >/dev/null
 echo "docker_farm: $workers worker containers $farm_hash, local $local_hash"
+"$TILERY_BIN/tilery" compare "$scratch/docker.exr" "$scratch/local.exr" --identical >/dev/null
 [ "$farm_hash" = "$local_hash" ] && [ "$workers" = 3 ]
 passed=1
 docker image rm -f "$TILERY_IMAGE" >/dev/null 2>&1 || true
