@@ -131,8 +131,8 @@ enum sched_event_type {
     SCHED_UNIT_FAILED, /* .epoch: worker could not render that unit */
     /* .mismatch: bits of a COMPARE differ from those accepted. */
     SCHED_MISMATCH,
-    /* Every SCHED_CELLS_RESET that follows from one SCHED_LIAR was fed. No job becomes done
-     * before. */
+    /* Every SCHED_CELLS_RESET that follows from one SCHED_LIAR was fed. Before, nothing is leased
+     * and no job becomes done. */
     SCHED_LIAR_SETTLED,
 };
 

@@ -12,8 +12,8 @@ enum {
 };
 
 /* Pixel-samples per second and thread before the first result: only the size of the very first
- * units depends on it. */
-static const double SPEED_GUESS = 1e6;
+ * units depends on it, and units that are too small cost less than units that are too large. */
+static const double SPEED_GUESS = 2.5e5;
 
 /* One worker's speed over the job's mean is believed within this factor. */
 static const double RATIO_MAX = 16.0;
@@ -413,6 +413,9 @@ static struct chain *list_to_try(struct sched *s, bool work)
 
 bool assign_next(struct sched *s, struct sched_action *out)
 {
+    /* What a liar touched is about to be reset: nothing is built on it. */
+    if (s->liars_unsettled > 0)
+        return false;
     bool work = farm_has_work(s);
     struct chain *list;
     while ((list = list_to_try(s, work)) != NULL) {

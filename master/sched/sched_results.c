@@ -100,6 +100,9 @@ static void check_vote(struct sched *s, uint32_t check, struct vote vote)
             return;
     }
     TL_ASSERT(c->vote_count < SCHED_VOTES_MAX);
+    /* Its bits came another way (a late copy): it need not render it once more. */
+    if (c->lease != SLOT_NONE && s->workers[s->leases[c->lease].worker].handle == vote.worker)
+        lease_end(s, c->lease, END_REVOKED, false);
     c->votes[c->vote_count++] = vote;
     check_count_votes(s, check);
 }
