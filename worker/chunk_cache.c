@@ -405,9 +405,9 @@ enum err chunk_cache_get(struct chunk_cache *c, const digest *name, uint64_t raw
     if (!entry)
         return ERR_NOT_FOUND;
 
-    enum err e = c->folder
-                     ? get_from_folder(c, name, raw_bytes_max, out)
-                     : chunk_decompress_any(entry->frame, entry->bytes, name, raw_bytes_max, out);
+    enum err e = entry->frame
+                     ? chunk_decompress_any(entry->frame, entry->bytes, name, raw_bytes_max, out)
+                     : get_from_folder(c, name, raw_bytes_max, out);
     lock(c);
     entry->readers--;
     unlock(c);

@@ -79,7 +79,7 @@ static void make_room(struct job_table *t)
 
 /* --- Telling the master --------------------------------------------------------------- */
 
-static void say_ready(struct job_table *t, const struct worker_job *job)
+static void say_ready(struct job_table *t, struct worker_job *job)
 {
     struct message m = {.type = FRAME_JOB_READY,
                         .job_ready = {.job = job->id,
@@ -87,8 +87,9 @@ static void say_ready(struct job_table *t, const struct worker_job *job)
                                       .build_seconds = job->loaded.build_seconds,
                                       .scene_bytes = job->loaded.scene_bytes,
                                       .received_bytes = job->loaded.received_bytes}};
-    enum err ignored = t->outlet.send(t->outlet.ctx, &m, NULL); /* said again when reconnected */
-    (void)ignored;
+    /* Said again when reconnected; the bytes count once. */
+    if (t->outlet.send(t->outlet.ctx, &m, NULL) == ERR_OK)
+        job->loaded.received_bytes = 0;
 }
 
 static void say_failed(struct job_table *t, uint64_t job, enum err error, const char *text)

@@ -1,0 +1,4 @@
+# Parsers of the wire.
+foreach(target fuzz_frame fuzz_message fuzz_tile_codec)
+  tilery_fuzzer(${target} LINKS tl_proto SOURCES ${PROJECT_SOURCE_DIR}/tests/fuzz/${target}.c)
+endforeach()
