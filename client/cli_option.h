@@ -88,6 +88,7 @@ enum cli_option_id {
     CLI_WAIT,
     CLI_ALL,
     CLI_HEATMAP,
+    CLI_FLIP,
     CLI_IDENTICAL,
     CLI_MAX_RELMSE,
     CLI_OUTPUT,

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "client/command.h"
+#include "client/flip.h"
 #include "client/human.h"
 #include "client/metrics.h"
 #include "client/out_file.h"
@@ -107,7 +108,8 @@ static int write_heatmap(const char *path, const struct picture *x, const struct
     return e == ERR_OK ? EXIT_DONE : cli_cannot_write(path, e, 0, 0, NULL);
 }
 
-static void put_json(const struct metrics *m, const struct picture *p, bool holds, struct buf *out)
+static void put_json(const struct metrics *m, const struct flip *f, const struct picture *p,
+                     bool holds, struct buf *out)
 {
     const struct {
         const char *key;
@@ -124,11 +126,19 @@ static void put_json(const struct metrics *m, const struct picture *p, bool hold
     }
     buf_printf(out, ",\"max_difference\":{\"value\":");
     json_put_number(out, m->max_difference);
-    buf_printf(out, ",\"x\":%u,\"y\":%u},\"nonfinite_a\":%llu,\"nonfinite_b\":%llu}\n", m->max_x,
+    buf_printf(out, ",\"x\":%u,\"y\":%u},\"nonfinite_a\":%llu,\"nonfinite_b\":%llu", m->max_x,
                m->max_y, (unsigned long long)m->nonfinite_x, (unsigned long long)m->nonfinite_r);
+    if (f) {
+        buf_printf(out, ",\"flip_mean\":");
+        json_put_number(out, f->mean);
+        buf_printf(out, ",\"flip_p95\":");
+        json_put_number(out, f->p95);
+    }
+    buf_printf(out, "}\n");
 }
 
-static void put_text(const struct metrics *m, const struct picture *p, struct buf *out)
+static void put_text(const struct metrics *m, const struct flip *f, const struct picture *p,
+                     struct buf *out)
 {
     char relmse[HUMAN_BYTES], trimmed[HUMAN_BYTES];
     human_error(m->relmse, relmse);
@@ -143,6 +153,9 @@ static void put_text(const struct metrics *m, const struct picture *p, struct bu
         buf_printf(out, "  display  PSNR %.2f dB, SSIM %.5f\n", m->psnr, m->ssim);
     buf_printf(out, "  largest  %.6g at pixel %u,%u\n", m->max_difference, m->max_x, m->max_y);
     buf_printf(out, "  mean     %.6g, reference %.6g\n", m->mean_x, m->mean_r);
+    if (f)
+        buf_printf(out, "  FLIP     mean %.4f, 95th percentile %.4f (%u exposures)\n", f->mean,
+                   f->p95, f->exposure_count);
     if (m->nonfinite_x || m->nonfinite_r)
         buf_printf(out, "  note     %llu values are not finite, %llu in the reference\n",
                    (unsigned long long)m->nonfinite_x, (unsigned long long)m->nonfinite_r);
@@ -163,16 +176,19 @@ static int report(const struct cli *cli, const struct picture *x, const struct p
 {
     struct metrics m;
     struct buf out;
-    if (metrics_compare(x->rgb, r->rgb, x->width, x->height, &m) != ERR_OK) {
+    struct flip flip;
+    bool flips = cli_flag(&cli->line, CLI_FLIP);
+    if (metrics_compare(x->rgb, r->rgb, x->width, x->height, &m) != ERR_OK ||
+        (flips && flip_compare(x->rgb, r->rgb, x->width, x->height, &flip) != ERR_OK)) {
         cli_error("no-memory", NULL, "out of memory");
         return EXIT_MACHINE;
     }
     bool holds = must_hold(&cli->line, &m);
     buf_init(&out);
     if (cli->json)
-        put_json(&m, x, holds, &out);
+        put_json(&m, flips ? &flip : NULL, x, holds, &out);
     else if (!cli->quiet)
-        put_text(&m, x, &out);
+        put_text(&m, flips ? &flip : NULL, x, &out);
     bool ok = cli_put_buf(&out);
     buf_release(&out);
     if (!holds)

@@ -81,3 +81,26 @@ def rgb(path):
 def sha256(path):
     """The hash that the report must give: RGB, float32 little-endian, row by row."""
     return hashlib.sha256(rgb(path).astype("<f4").tobytes()).hexdigest()
+
+
+def write(path, pixels):
+    """An uncompressed file of height x width x 3 floats, for tests of what reads pictures."""
+    height, width = pixels.shape[:2]
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    channels = b"".join(c + b"\0" + struct.pack("<iiii", 2, 0, 1, 1) for c in (b"B", b"G", b"R"))
+    attributes = [("channels", "chlist", channels + b"\0"), ("compression", "compression", b"\0"),
+                  ("dataWindow", "box2i", window), ("displayWindow", "box2i", window),
+                  ("lineOrder", "lineOrder", b"\0"),
+                  ("pixelAspectRatio", "float", struct.pack("<f", 1)),
+                  ("screenWindowCenter", "v2f", struct.pack("<ff", 0, 0)),
+                  ("screenWindowWidth", "float", struct.pack("<f", 1))]
+    head = b"\x76\x2f\x31\x01" + struct.pack("<I", 2)
+    for name, kind, value in attributes:
+        head += name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+    head += b"\0"
+    line = 8 + 12 * width
+    table = b"".join(struct.pack("<Q", len(head) + 8 * height + y * line) for y in range(height))
+    rows = b"".join(struct.pack("<ii", y, 12 * width) +
+                    pixels[y, :, ::-1].T.astype("<f4").tobytes() for y in range(height))
+    with open(path, "wb") as file:
+        file.write(head + table + rows)

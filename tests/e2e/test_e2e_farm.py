@@ -361,6 +361,25 @@ def test_compare(farm, tmp_path):
     assert done.returncode == 3 and "bad.exr" in done.stderr and "none.exr" in done.stderr
 
 
+def test_flip(tmp_path):
+    """HDR-FLIP against the figures of its authors' program (flip-evaluator 1.x, 67 ppd, ACES)."""
+    y, x = numpy.mgrid[0:48, 0:72].astype(float)
+    reference = numpy.stack([4 ** (x / 24) * (0.6 + 0.4 * numpy.sin(y / 3)),
+                             1.5 + numpy.cos(x / 2 + y / 5), 0.02 * x + (y > 24)], axis=-1)
+    test = reference * (1 + 0.2 * numpy.sin(x * 1.7 + y * 0.9))[..., None]
+    test[10:14, 30:34] = 20
+    test[30, 5] = 0
+    exr_pixels.write(tmp_path / "test.exr", test)
+    exr_pixels.write(tmp_path / "reference.exr", reference)
+    done = tilery("compare", tmp_path / "test.exr", tmp_path / "reference.exr", "--flip", "--json")
+    assert done.returncode == 0, done.stderr
+    got = json.loads(done.stdout)
+    assert got["flip_mean"] == pytest.approx(0.0738340, abs=2e-6)
+    assert got["flip_p95"] == pytest.approx(0.1453189, abs=2e-5)
+    done = tilery("compare", tmp_path / "test.exr", tmp_path / "test.exr", "--flip", "--json")
+    assert json.loads(done.stdout)["flip_mean"] == 0
+
+
 def display(linear):
     linear = numpy.clip(linear, 0, 1)
     return numpy.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
