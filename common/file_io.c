@@ -3,8 +3,8 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <stdatomic.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 #include <sys/stat.h>
@@ -99,17 +99,30 @@ static enum err write_special(const char *path, const void *data, size_t bytes)
     return e;
 }
 
-static enum err write_aside(char *aside, const char *path, const void *data, size_t bytes)
+/* A new file beside `path`; its name is left in *aside, which the caller frees. */
+static enum err open_aside(const char *path, char **aside, int *fd)
 {
-    int fd = mkostemp(aside, O_CLOEXEC);
-    if (fd < 0)
-        return err_from_errno(errno);
-    mode_t mask = umask(0);
-    (void)umask(mask);
+    static atomic_uint counter;
+    for (;;) {
+        char *name = mem_sprintf("%s.%ld.%u.tmp", path, (long)getpid(), counter++);
+        if (!name)
+            return ERR_NOMEM;
+        *fd = open(name, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+        *aside = name;
+        if (*fd >= 0)
+            return ERR_OK;
+        mem_free(name);
+        *aside = NULL;
+        if (errno != EEXIST)
+            return err_from_errno(errno);
+    }
+}
+
+static enum err write_and_rename(int fd, const char *aside, const char *path, const void *data,
+                                 size_t bytes)
+{
     enum err e = write_all(fd, data, bytes);
     if (e == ERR_OK && fsync(fd) != 0)
-        e = err_from_errno(errno);
-    if (e == ERR_OK && fchmod(fd, 0666 & ~mask) != 0)
         e = err_from_errno(errno);
     if (close(fd) != 0 && e == ERR_OK)
         e = err_from_errno(errno);
@@ -125,10 +138,10 @@ enum err file_write(const char *path, const void *data, size_t bytes)
     struct stat st;
     if (stat(path, &st) == 0 && !S_ISREG(st.st_mode))
         return S_ISDIR(st.st_mode) ? ERR_IO : write_special(path, data, bytes);
-    char *aside = mem_sprintf("%s.XXXXXX", path);
-    if (!aside)
-        return ERR_NOMEM;
-    enum err e = write_aside(aside, path, data, bytes);
+    char *aside;
+    int fd;
+    TL_TRY(open_aside(path, &aside, &fd));
+    enum err e = write_and_rename(fd, aside, path, data, bytes);
     mem_free(aside);
     if (e == ERR_OK)
         sync_folder(path);

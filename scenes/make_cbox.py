@@ -164,7 +164,7 @@ def veach(folder):
         objects.append({"type": "sphere", "center": [x, lamps[1], lamps[2]], "radius": radius,
                         "light": {"type": "area", "radiance": [radiance] * 3}})
     return {"integrator": {"type": "path", "spp": 64, "max_depth": 6}, "film": {"resolution": [768, 512]},
-            "camera": {"position": list(eye), "look_at": [0, -2, 2.5], "ref_up": [0, 1, 0], "fov": 28},
+            "camera": {"position": list(eye), "look_at": [0, -1.6, 2.5], "ref_up": [0, 1, 0], "fov": 37},
             "textures": {"wall": constant((0.4, 0.4, 0.4)), "white": constant((1, 1, 1))},
             "materials": materials, "objects": objects}
 
