@@ -50,7 +50,7 @@ static void results_are_within_an_ulp_or_so(void **unused)
             double x = uniform(functions[f].low, functions[f].high);
             double got = functions[f].ours(x);
             long double truth = functions[f].truth((long double)x);
-            double ulp = nextafter(fabs((double)truth), INFINITY) - fabs((double)truth);
+            double ulp = nextafter(fabs((double)truth), HUGE_VAL) - fabs((double)truth);
             if (!(fabsl((long double)got - truth) <= 1.1L * (long double)ulp))
                 fail_msg("%s(%.17g) = %.17g", functions[f].name, x, got);
         }
@@ -70,7 +70,7 @@ static void two_arguments_agree(void **unused)
         assert_true(fabs(s * s + c * c - 1) < 1e-15);
     }
     assert_true(dmath_sinpi(0.5) == 1 && dmath_cospi(0.5) == 0 && dmath_cospi(1) == -1);
-    assert_true(isnan(dmath_acos(2)) && isnan(dmath_log(-1)) && dmath_exp(-INFINITY) == 0);
+    assert_true(isnan(dmath_acos(2)) && isnan(dmath_log(-1)) && dmath_exp(-HUGE_VAL) == 0);
     assert_true(dmath_pow(0, 0) == 1 && dmath_pow(0, 2) == 0);
 }
 
@@ -166,7 +166,8 @@ static void what_is_no_number_is_refused(void **unused)
     assert_non_null(number_parse_int(low, low + 20, &whole));
     assert_true(whole == INT64_MIN);
     assert_null(number_parse_int(beyond, beyond + 19, &whole));
-    assert_non_null(number_parse_int("12/3", "12/3" + 4, &whole));
+    const char *corner = "12/3";
+    assert_ptr_equal(number_parse_int(corner, corner + 4, &whole), corner + 2);
 }
 
 int main(void)
