@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 
 enum { ARENA_ALIGN = 64, ARENA_BLOCK_BYTES = 256 * 1024 };
 
@@ -65,6 +66,8 @@ void *mem_alloc_aligned(size_t bytes, size_t alignment)
     void *p = NULL;
     if (must_fail() || posix_memalign(&p, alignment, bytes ? bytes : alignment) != 0)
         return NULL;
+    if (alignment >= MEM_HUGE_PAGE && bytes >= MEM_HUGE_PAGE)
+        (void)madvise(p, bytes, MADV_HUGEPAGE); /* a wish; without it all works, slower */
     return p;
 }
 

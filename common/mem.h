@@ -21,7 +21,9 @@ TL_NODISCARD void *mem_alloc(size_t bytes);
 /* Grows or shrinks to count * bytes; on failure NULL and `p` is as it was. */
 TL_NODISCARD void *mem_realloc_array(void *p, size_t count, size_t bytes);
 
-/* `alignment` a power of two >= sizeof(void *); freed by mem_free. */
+/* `alignment` a power of two >= sizeof(void *); freed by mem_free. Aligned to MEM_HUGE_PAGE the
+ * memory is backed by huge pages where the system has them: for big tables met at random. */
+enum { MEM_HUGE_PAGE = 2 << 20 };
 TL_NODISCARD void *mem_alloc_aligned(size_t bytes, size_t alignment);
 
 void mem_free(void *p);

@@ -124,18 +124,10 @@ static size_t mesh_refs(const struct accel_mesh *m, uint32_t first, uint32_t own
     return count;
 }
 
-static struct bvh_ref *refs_new(size_t count)
-{
-    size_t bytes;
-    if (__builtin_mul_overflow(count, sizeof(struct bvh_ref), &bytes))
-        return NULL;
-    return mem_alloc_aligned(bytes, BVH_UNIT_BYTES);
-}
-
 static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct accel_runner *runner)
 {
     const struct accel_mesh *m = &a->meshes[mesh];
-    struct bvh_ref *refs = refs_new(m->triangle_count);
+    struct bvh_ref *refs = bvh_alloc(m->triangle_count, sizeof *refs);
     if (!refs)
         return ERR_NOMEM;
     size_t count = mesh_refs(m, 0, mesh, runner, refs);
@@ -143,8 +135,8 @@ static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct acc
                    &a->mesh_trees[mesh]);
 }
 
-static size_t object_refs(const struct accel *a, uint32_t number,
-                          const struct accel_runner *runner, struct bvh_ref *refs)
+static size_t object_refs(const struct accel *a, uint32_t number, const struct accel_runner *runner,
+                          struct bvh_ref *refs)
 {
     const struct accel_object *o = &a->objects[number];
     if (o->type == ACCEL_TRIANGLES)
@@ -163,7 +155,7 @@ static size_t object_refs(const struct accel *a, uint32_t number,
 static enum err scene_tree_build(struct accel *a, const struct accel_runner *runner)
 {
     size_t limit = a->triangle_first[a->object_count] + a->object_count, count = 0;
-    struct bvh_ref *refs = refs_new(limit);
+    struct bvh_ref *refs = bvh_alloc(limit, sizeof *refs);
     if (!refs)
         return ERR_NOMEM;
     for (uint32_t i = 0; i < a->object_count; i++)
@@ -303,8 +295,9 @@ bool accel_ray(const struct accel *a, const struct ray *ray, struct trace_ray *o
     if (!(ray->tmin < ray->tmax) || !trace_scale(ray->dir, dir, &scale))
         return false;
     trace_ray_init(ray->org, dir, scale, a->scene_tree.reach, out);
-    *tmin = ray->tmin / scale;
-    *tmax = ray->tmax / scale;
+    double back = 1.0 / scale;
+    *tmin = ray->tmin * back;
+    *tmax = ray->tmax * back;
     return true;
 }
 
@@ -341,9 +334,16 @@ static void cross(const double a[3], const double b[3], double out[3])
     out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-/* `ray` is in the space of the vertices. */
+static void leaf_vertices(const struct bvh_leaf *leaf, uint32_t lane, float v[3][3])
+{
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            v[i][k] = leaf->v[i][k][lane];
+}
+
+/* `ray` is in the space of the vertices, and read only when the best hit has no leaf. */
 static void triangle_hit(const struct accel *a, const struct trace_ray *ray, const float v[3][3],
-                         struct hit *out)
+                         const struct trace_best *best, struct hit *out)
 {
     double e1[3], e2[3], t;
     for (int k = 0; k < 3; k++) {
@@ -359,6 +359,11 @@ static void triangle_hit(const struct accel *a, const struct trace_ray *ray, con
         transform_vector(o->to_scene, local2, e2);
     }
     cross(e1, e2, out->ng);
+    if (best->leaf) {
+        out->b1 = best->v / best->det;
+        out->b2 = best->w / best->det;
+        return;
+    }
     if (a->options.intersector == JOB_INTERSECTOR_MOLLER_TRUMBORE) {
         bool hit = exact_moller_trumbore(ray, v, &t, &out->b1, &out->b2);
         TL_DASSERT(hit);
@@ -389,13 +394,16 @@ void accel_hit(const struct accel *a, const struct trace_ray *ray, const struct 
         return;
     }
     float v[3][3];
-    triangle_vertices(&a->meshes[o->mesh], out->primitive, v);
+    if (best->leaf) /* still in cache, which the mesh may not be */
+        leaf_vertices(best->leaf, best->lane, v);
+    else
+        triangle_vertices(&a->meshes[o->mesh], out->primitive, v);
     struct trace_ray inner;
     double rescale;
-    if (o->type == ACCEL_INSTANCE && accel_instance_ray(a, out->object, ray, &inner, &rescale))
-        triangle_hit(a, &inner, v, out);
-    else
-        triangle_hit(a, ray, v, out);
+    if (!best->leaf && o->type == ACCEL_INSTANCE &&
+        accel_instance_ray(a, out->object, ray, &inner, &rescale))
+        ray = &inner;
+    triangle_hit(a, ray, v, best, out);
 }
 
 /* --- Queries -------------------------------------------------------------- */

@@ -65,14 +65,21 @@ static inline bool accel_before(const struct accel *a, uint32_t object, uint32_t
 }
 
 /* Takes a hit if it is nearer than the best, or as near and earlier in order. */
-static inline void accel_offer(const struct accel *a, double t, double tmin, uint32_t object,
-                               uint32_t primitive, struct trace_best *best)
+static inline bool accel_offer(const struct accel *a, double t, double tmin, uint32_t object,
+                               uint32_t primitive, const struct bvh_leaf *leaf, uint32_t lane,
+                               struct trace_best *best)
 {
     if (!(t > tmin && t <= best->t))
-        return;
+        return false;
     if (t == best->t && !(best->found && accel_before(a, object, primitive, best)))
-        return;
-    *best = (struct trace_best){t, object, primitive, true};
+        return false;
+    best->t = t;
+    best->object = object;
+    best->primitive = primitive;
+    best->leaf = leaf;
+    best->lane = lane;
+    best->found = true;
+    return true;
 }
 
 /* Moves a ray into an instance's space; false when nothing can be hit there. */

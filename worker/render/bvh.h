@@ -20,6 +20,7 @@
 #ifndef WORKER_RENDER_BVH_H
 #define WORKER_RENDER_BVH_H
 
+#include "common/mem.h"
 #include "worker/render/accel.h"
 
 enum {
@@ -84,7 +85,7 @@ void bvh_release(struct bvh *b);
 
 struct bvh2_node {
     float lo[3];
-    uint32_t left;  /* a leaf: its first reference, with BVH2_LEAF set */
+    uint32_t left; /* a leaf: its first reference, with BVH2_LEAF set */
     float hi[3];
     uint32_t right; /* a leaf: how many, 1..BVH_BLOCK */
 };
@@ -96,17 +97,26 @@ struct bvh2 {
     struct bvh2_node *nodes;
     struct bvh2_run {
         uint32_t begin, end;
-    } *runs;
+    } * runs;
     size_t run_count, node_limit;
     struct bvh_ref *refs; /* reordered */
     struct bvh_ref *spare;
 };
 
-/* Takes refs[0..count), count > 0, allocated by mem_alloc_aligned(.., BVH_UNIT_BYTES); frees
- * them whatever happens or hands them on in out->refs. */
+/* Takes refs[0..count), count > 0, allocated by bvh_alloc; frees them whatever happens or
+ * hands them on in out->refs. */
 TL_NODISCARD enum err bvh2_build(struct bvh_ref *refs, uint32_t count, bool median,
                                  const struct accel_runner *runner, struct bvh2 *out);
 void bvh2_release(struct bvh2 *b);
+
+/* Memory for the tables of a tree: big ones in huge pages. */
+static inline void *bvh_alloc(size_t count, size_t bytes)
+{
+    size_t total;
+    if (__builtin_mul_overflow(count, bytes, &total))
+        return NULL;
+    return mem_alloc_aligned(total, total >= 4 * (size_t)MEM_HUGE_PAGE ? MEM_HUGE_PAGE : 64);
+}
 
 /* Runs fn over 0..count-1, on the runner's threads where there is one. */
 static inline void bvh_run(const struct accel_runner *runner, size_t count,

@@ -17,13 +17,13 @@
 #include "common/mem.h"
 
 enum {
-    AXES = 4,               /* x, y, z, size */
+    AXES = 4, /* x, y, z, size */
     SIZE_AXIS = 3,
     BINS_MAX = 32,
-    CHUNK = 16384,          /* references in one piece of a pass */
-    TASK_MIN = 4096,        /* a smaller range is not cut into tasks */
-    TASKS = 64,             /* about */
-    SIZE_RANGE_MIN = 64,    /* a smaller range is not split by size */
+    CHUNK = 16384,       /* references in one piece of a pass */
+    TASK_MIN = 4096,     /* a smaller range is not cut into tasks */
+    TASKS = 64,          /* about */
+    SIZE_RANGE_MIN = 64, /* a smaller range is not split by size */
 };
 
 struct box4 {
@@ -55,8 +55,8 @@ struct split {
 
 struct range {
     uint32_t begin, end, depth;
-    bool in_spare;   /* which of the two arrays holds it */
-    uint32_t *link;  /* where the parent wants the node's number; NULL for a root */
+    bool in_spare;  /* which of the two arrays holds it */
+    uint32_t *link; /* where the parent wants the node's number; NULL for a root */
 };
 
 struct build {
@@ -153,8 +153,8 @@ static void grid_init(struct grid *g, const struct extent *e, uint32_t count)
     }
     g->low[3] = g->scale[3] = 0.0f;
     g->size_top = size_key(e->area_max);
-    bool sized = count >= SIZE_RANGE_MIN &&
-                 e->area_max > 0.03125f * half_area(e->box.lo, e->box.hi);
+    bool sized =
+        count >= SIZE_RANGE_MIN && e->area_max > 0.03125f * half_area(e->box.lo, e->box.hi);
     g->axes = sized ? 4 : 3;
 }
 
@@ -234,8 +234,7 @@ static struct split bins_split(const struct bins *b, const struct grid *g)
 }
 
 /* The same arithmetic as in bins_add. */
-static inline bool goes_left(const struct grid *g, const struct split *s,
-                             const struct bvh_ref *ref)
+static inline bool goes_left(const struct grid *g, const struct split *s, const struct bvh_ref *ref)
 {
     if (s->axis == SIZE_AXIS)
         return size_bin(g, half_area(_mm_load_ps(ref->lo), _mm_load_ps(ref->hi))) < s->border;
@@ -277,9 +276,9 @@ static void select_nth(struct bvh_ref *refs, uint32_t begin, uint32_t end, uint3
 {
     while (end - begin > 1) {
         uint32_t last = end - 1;
-        struct bvh_ref pivot = median_of_three(&refs[scattered(begin, last, 1)],
-                                               &refs[scattered(begin, last, 2)],
-                                               &refs[scattered(begin, last, 3)], axis);
+        struct bvh_ref pivot =
+            median_of_three(&refs[scattered(begin, last, 1)], &refs[scattered(begin, last, 2)],
+                            &refs[scattered(begin, last, 3)], axis);
         uint32_t i = begin, j = last;
         for (;; i++, j--) {
             while (ref_less(&refs[i], &pivot, axis))
@@ -378,7 +377,7 @@ struct chunked {
         struct bins bins;
         uint32_t left;              /* how many of it go left */
         uint32_t left_at, right_at; /* where to */
-    } *chunks;
+    } * chunks;
     size_t count;
 };
 
@@ -543,7 +542,7 @@ static enum err build_top(const struct build *b, uint32_t count, struct tasks *t
 {
     uint32_t limit = count / TASKS > TASK_MIN ? count / TASKS : TASK_MIN, next = 0;
     size_t chunk_count = (count + CHUNK - 1) / CHUNK;
-    struct chunk *chunks = mem_alloc_aligned(chunk_count * sizeof *chunks, 64);
+    struct chunk *chunks = bvh_alloc(chunk_count, sizeof *chunks);
     struct range stack[BVH_DEPTH_MAX + 2];
     int top = 0;
     enum err err = chunks ? ERR_OK : ERR_NOMEM;
@@ -603,8 +602,8 @@ enum err bvh2_build(struct bvh_ref *refs, uint32_t count, bool median,
 {
     size_t limit = 2 * (size_t)count;
     *out = (struct bvh2){.refs = refs, .node_limit = limit};
-    out->nodes = mem_alloc_aligned(limit * sizeof *out->nodes, BVH_UNIT_BYTES);
-    out->spare = mem_alloc_aligned(count * sizeof *refs, BVH_UNIT_BYTES);
+    out->nodes = bvh_alloc(limit, sizeof *out->nodes);
+    out->spare = bvh_alloc(count, sizeof *refs);
     struct build b = {out, runner, median};
     enum err err = out->nodes && out->spare ? build_tasks(&b, count) : ERR_NOMEM;
     mem_free(out->spare);

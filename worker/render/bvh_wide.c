@@ -307,7 +307,7 @@ static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *r
     enum err err = ERR_NOMEM;
     struct choosing choosing = {tree, NULL};
     struct planner p = {tree->nodes, tree->refs, NULL, NULL, 0, 0, 0};
-    choosing.choices = mem_alloc_aligned(tree->node_limit * sizeof *choosing.choices, 64);
+    choosing.choices = bvh_alloc(tree->node_limit, sizeof *choosing.choices);
     if (!choosing.choices)
         goto done;
     bvh_run(runner, tree->run_count - 1, choose_task, &choosing);
@@ -317,7 +317,7 @@ static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *r
     if (err)
         goto done;
     out->bytes = (size_t)p.units * BVH_UNIT_BYTES;
-    out->arena = mem_alloc_aligned(out->bytes, 64);
+    out->arena = bvh_alloc(out->bytes, 1);
     err = out->arena ? ERR_OK : ERR_NOMEM;
     if (err)
         goto done;
@@ -332,9 +332,8 @@ done:
     return err;
 }
 
-enum err bvh_new(struct bvh_ref *refs, size_t count, bool median,
-                 const struct accel_runner *runner, bvh_vertices_fn vertices, void *ctx,
-                 struct bvh *out)
+enum err bvh_new(struct bvh_ref *refs, size_t count, bool median, const struct accel_runner *runner,
+                 bvh_vertices_fn vertices, void *ctx, struct bvh *out)
 {
     *out = (struct bvh){.root = BVH_EMPTY};
     if (count == 0 || count > BVH_PRIMITIVES_MAX) {

@@ -1,5 +1,6 @@
 #include "worker/render/trace.h"
 
+#include <emmintrin.h>
 #include <math.h>
 #include <string.h>
 
@@ -37,21 +38,51 @@ bool trace_scale(const double dir[3], double scaled[3], double *scale)
     return true;
 }
 
+/* The axis of the largest component; the later one of equals. */
+static inline uint32_t largest_axis(const double dir[3])
+{
+    uint64_t bits[3];
+    memcpy(bits, dir, sizeof bits);
+    for (int k = 0; k < 3; k++)
+        bits[k] &= INT64_MAX;
+    uint32_t z = bits[1] >= bits[0] ? 1 : 0;
+    uint64_t largest = bits[1] >= bits[0] ? bits[1] : bits[0];
+    return bits[2] >= largest ? 2 : z;
+}
+
+/* The float side, all axes at once. */
+static inline void slabs_ready(struct trace_ray *r, __m128 org, __m128 dir, float pad_size)
+{
+    const __m128 sign = _mm_set1_ps(-0.0f);
+    /* A smaller component moves no ray out of a padded slab. */
+    const __m128 smallest = _mm_set1_ps(0x1p-80f);
+    __m128 signs = _mm_and_ps(dir, sign);
+    __m128 size = _mm_max_ps(_mm_andnot_ps(sign, dir), smallest);
+    __m128 inverse = _mm_div_ps(_mm_set1_ps(1.0f), _mm_or_ps(size, signs));
+    __m128 pad = _mm_or_ps(_mm_set1_ps(pad_size), signs);
+    float out[3][4];
+    _mm_storeu_ps(out[0], inverse);
+    _mm_storeu_ps(out[1], _mm_mul_ps(_mm_add_ps(org, pad), inverse));
+    _mm_storeu_ps(out[2], _mm_mul_ps(_mm_sub_ps(org, pad), inverse));
+    memcpy(r->inverse, out[0], sizeof r->inverse);
+    memcpy(r->near_offset, out[1], sizeof r->near_offset);
+    memcpy(r->far_offset, out[2], sizeof r->far_offset);
+    uint32_t back = (uint32_t)_mm_movemask_ps(signs);
+    for (uint32_t k = 0; k < 3; k++)
+        r->row[k] = 2 * k + (back >> k & 1);
+}
+
 void trace_ray_init(const double org[3], const double dir[3], double scale, double reach,
                     struct trace_ray *out)
 {
-    const float unit = 0x1p-24f;
-    const float smallest = 0x1p-80f; /* a smaller component moves no ray out of a padded slab */
-    uint32_t z = 0;
+    static const uint32_t after[3] = {1, 2, 0};
+    uint32_t z = largest_axis(dir), x = after[z], y = after[x];
     double far = 0.0;
     for (uint32_t k = 0; k < 3; k++) {
         out->org[k] = org[k];
         out->dir[k] = dir[k];
-        if (exact_abs(dir[k]) > exact_abs(dir[z]))
-            z = k;
         far = exact_max(far, exact_abs(org[k]));
     }
-    uint32_t x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
     out->axis[0] = x;
     out->axis[1] = y;
     out->axis[2] = z;
@@ -65,19 +96,13 @@ void trace_ray_init(const double org[3], const double dir[3], double scale, doub
         out->filter_org[k] = (float)org[out->axis[k]];
     out->filter_shear[0] = (float)out->shear[0];
     out->filter_shear[1] = (float)out->shear[1];
+    out->filter_shear[2] = (float)out->shear[2];
+    out->filter_depth = (float)(0x1p-20 * size);
     /* The last term covers products that underflow. */
     out->filter_slope = (float)(100.0 * 0x1p-24 * size);
     out->filter_floor = (float)(256.0 * 0x1p-48 * size * size + 0x1p-140);
     /* The pad is rounded twice: a ninth unit covers that. */
-    float pad = 9.0f * unit * (float)size;
-    for (uint32_t k = 0; k < 3; k++) {
-        bool back = signbit(dir[k]) != 0;
-        float d = (float)dir[k], o = (float)org[k];
-        if (!(__builtin_fabsf(d) >= smallest))
-            d = back ? -smallest : smallest;
-        out->inverse[k] = 1.0f / d;
-        out->near_offset[k] = (back ? o - pad : o + pad) * out->inverse[k];
-        out->far_offset[k] = (back ? o + pad : o - pad) * out->inverse[k];
-        out->row[k] = 2 * k + (back ? 1 : 0);
-    }
+    slabs_ready(out, _mm_setr_ps((float)org[0], (float)org[1], (float)org[2], 0.0f),
+                _mm_setr_ps((float)dir[0], (float)dir[1], (float)dir[2], 0.0f),
+                9.0f * 0x1p-24f * (float)size);
 }

@@ -19,11 +19,12 @@ struct trace_ray {
     double org[3], dir[3];
     double shear[3];  /* Woop's Sx, Sy, Sz */
     double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R */
-    double scale;     /* dir = caller's direction * scale; caller's t = t * scale */
+    double scale;     /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
     uint32_t axis[3]; /* permuted: the largest component last */
     uint32_t row[3];  /* row of bvh_node.bounds with the near planes; row ^ 1 has the far ones */
     float near_offset[3], far_offset[3], inverse[3]; /* t = plane * inverse - offset */
-    float filter_org[3], filter_shear[2];            /* permuted like `axis` */
+    float filter_org[3], filter_shear[3];            /* permuted like `axis` */
+    float filter_depth;               /* a triangle's depths are wrong by less than this in float */
     float filter_slope, filter_floor; /* of a block with edges <= e: an edge function's float error
                                          is below slope * e + floor */
 };
@@ -33,7 +34,10 @@ struct trace_ray {
 struct trace_best {
     double t;
     uint32_t object, primitive;
+    const struct bvh_leaf *leaf; /* where a triangle was met, and its lane; or NULL */
+    uint32_t lane;
     bool found;
+    double v, w, det; /* with a leaf: the edge functions of vertices 1 and 2, and their sum */
 };
 
 /* Scales a direction; false if it is zero or not finite. */

@@ -63,6 +63,7 @@ static inline void prefetch(const unsigned char *arena, uint32_t ref)
     __builtin_prefetch(p);
     __builtin_prefetch(p + 64);
     __builtin_prefetch(p + 128);
+    __builtin_prefetch(p + 192);
 }
 
 /* A float not below x >= 0, and close to it. */
@@ -103,16 +104,18 @@ static inline float leaf_error(const struct trace_ray *r, const struct bvh_leaf 
 /* The lanes that Woop's test in double could accept: those whose edge functions are not
  * certainly of both signs. */
 static inline unsigned leaf_filter(const struct trace_ray *r, const struct bvh_leaf *leaf,
-                                   uint32_t edge_bits)
+                                   uint32_t edge_bits, float from, float to)
 {
-    f4 org[3], x[3], y[3];
+    f4 org[3], x[3], y[3], t[3];
     for (int k = 0; k < 3; k++)
         org[k] = _mm_set1_ps(r->filter_org[k]);
     f4 sx = _mm_set1_ps(r->filter_shear[0]), sy = _mm_set1_ps(r->filter_shear[1]);
+    f4 sz = _mm_set1_ps(r->filter_shear[2]);
     for (int i = 0; i < 3; i++) {
         f4 z = _mm_sub_ps(_mm_load_ps(leaf->v[i][r->axis[2]]), org[2]);
         x[i] = f4_nmuladd(sx, z, _mm_sub_ps(_mm_load_ps(leaf->v[i][r->axis[0]]), org[0]));
         y[i] = f4_nmuladd(sy, z, _mm_sub_ps(_mm_load_ps(leaf->v[i][r->axis[1]]), org[1]));
+        t[i] = _mm_mul_ps(sz, z);
     }
     f4 u = f4_mulsub(x[2], y[1], _mm_mul_ps(y[2], x[1]));
     f4 v = f4_mulsub(x[0], y[2], _mm_mul_ps(y[0], x[2]));
@@ -121,13 +124,23 @@ static inline unsigned leaf_filter(const struct trace_ray *r, const struct bvh_l
     f4 least = _mm_min_ps(u, _mm_min_ps(v, w)), most = _mm_max_ps(u, _mm_max_ps(v, w));
     f4 both = _mm_and_ps(f4_less_mask(least, _mm_sub_ps(_mm_setzero_ps(), error)),
                          f4_less_mask(error, most));
-    return ~(unsigned)_mm_movemask_ps(both) & 0xf;
+    /* Woop's t lies within its vertices' depths. */
+    f4 first = _mm_min_ps(t[0], _mm_min_ps(t[1], t[2])),
+       last = _mm_max_ps(t[0], _mm_max_ps(t[1], t[2]));
+    f4 apart = _mm_or_ps(f4_less_mask(last, _mm_set1_ps(from - r->filter_depth)),
+                         f4_less_mask(_mm_set1_ps(to + r->filter_depth), first));
+    return ~(unsigned)_mm_movemask_ps(_mm_or_ps(both, apart)) & 0xf;
 }
 
-/* exact_edges_of, exact_woop and exact_t for four triangles. Returns the accepted lanes;
- * those in *outside need exact_t's careful branch. */
+/* What the test in double found, by lane. */
+struct decision {
+    double t[4], v[4], w[4], det[4];
+    unsigned outside; /* lanes that need exact_t's careful branch */
+} __attribute__((aligned(32)));
+
+/* exact_edges_of, exact_woop and exact_t for four triangles. Returns the accepted lanes. */
 static inline unsigned woop_four(const struct trace_ray *r, const struct bvh_leaf *leaf,
-                                 double t_out[4], unsigned *outside)
+                                 struct decision *out)
 {
     d4 rel[3][3], x[3], y[3], zero = d4_splat(0.0);
     for (int i = 0; i < 3; i++) {
@@ -158,8 +171,11 @@ static inline unsigned woop_four(const struct trace_ray *r, const struct bvh_lea
         d4 hi = d4_add(d4_max(d4_max(rel[0][k], rel[1][k]), rel[2][k]), slack);
         inside &= d4_mask(d4_and(d4_less_equal(lo, p), d4_less_equal(p, hi)));
     }
-    d4_store(t_out, t);
-    *outside = accepted & ~inside;
+    d4_store(out->t, t);
+    d4_store(out->v, v);
+    d4_store(out->w, w);
+    d4_store(out->det, det);
+    out->outside = accepted & ~inside;
     return accepted;
 }
 
@@ -181,28 +197,31 @@ static __attribute__((noinline)) void leaf_decide(const struct accel *a, const s
                                                   const struct bvh_leaf *leaf, double tmin,
                                                   uint32_t object, struct trace_best *best)
 {
-    double t[4] __attribute__((aligned(32)));
-    unsigned outside;
+    struct decision d;
     COUNT(decisions);
-    for (unsigned lanes = woop_four(r, leaf, t, &outside); lanes; lanes &= lanes - 1) {
+    for (unsigned lanes = woop_four(r, leaf, &d); lanes; lanes &= lanes - 1) {
         unsigned lane = (unsigned)__builtin_ctz(lanes);
-        if (outside >> lane & 1)
-            t[lane] = lane_t(r, leaf, lane);
-        accel_offer(a, t[lane], tmin, object, leaf->id[lane] & (BVH_PRIMITIVES_MAX - 1), best);
+        if (d.outside >> lane & 1)
+            d.t[lane] = lane_t(r, leaf, lane);
+        uint32_t primitive = leaf->id[lane] & (BVH_PRIMITIVES_MAX - 1);
+        if (accel_offer(a, d.t[lane], tmin, object, primitive, leaf, lane, best)) {
+            best->v = d.v[lane];
+            best->w = d.w[lane];
+            best->det = d.det[lane];
+        }
     }
 }
 
 static __attribute__((noinline)) bool
 leaf_blocks(const struct trace_ray *r, const struct bvh_leaf *leaf, double tmin, double tmax)
 {
-    double t[4] __attribute__((aligned(32)));
-    unsigned outside;
+    struct decision d;
     COUNT(decisions);
-    for (unsigned lanes = woop_four(r, leaf, t, &outside); lanes; lanes &= lanes - 1) {
+    for (unsigned lanes = woop_four(r, leaf, &d); lanes; lanes &= lanes - 1) {
         unsigned lane = (unsigned)__builtin_ctz(lanes);
-        if (outside >> lane & 1)
-            t[lane] = lane_t(r, leaf, lane);
-        if (t[lane] > tmin && t[lane] < tmax)
+        if (d.outside >> lane & 1)
+            d.t[lane] = lane_t(r, leaf, lane);
+        if (d.t[lane] > tmin && d.t[lane] < tmax)
             return true;
     }
     return false;
@@ -223,7 +242,7 @@ static __attribute__((noinline)) void object_closest(const struct accel *a,
     if (o->type == ACCEL_SPHERE) {
         double t, tmax = best->found ? __builtin_inf() : best->t;
         if (exact_sphere(r, o->center, o->radius, tmin, tmax, &t))
-            accel_offer(a, t, tmin, number, 0, best);
+            accel_offer(a, t, tmin, number, 0, NULL, 0, best);
         return;
     }
     struct trace_ray inner;
@@ -266,7 +285,8 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0;
     struct slabs slabs;
     slabs_init(&slabs, r);
-    f8 from = f8_splat(round_down(tmin)), entry;
+    float from_f = round_down(tmin);
+    f8 from = f8_splat(from_f), entry;
     float to = round_up(best->t);
     for (;;) {
         switch ((enum bvh_kind)(ref & 3)) {
@@ -293,7 +313,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
         case BVH_LEAF: {
             const struct bvh_leaf *leaf = bvh_leaf_at(arena, ref);
             COUNT(leaves);
-            if (leaf_filter(r, leaf, edge_bits)) {
+            if (leaf_filter(r, leaf, edge_bits, from_f, to)) {
                 leaf_decide(a, r, leaf, tmin, object, best);
                 to = round_up(best->t);
             }
@@ -326,7 +346,8 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0;
     struct slabs slabs;
     slabs_init(&slabs, r);
-    f8 from = f8_splat(round_down(tmin)), to = f8_splat(round_up(tmax)), entry;
+    float from_f = round_down(tmin), to_f = round_up(tmax);
+    f8 from = f8_splat(from_f), to = f8_splat(to_f), entry;
     for (;;) {
         switch ((enum bvh_kind)(ref & 3)) {
         case BVH_NODE: {
@@ -339,12 +360,14 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
             top += (unsigned)__builtin_popcount(mask) - 1;
             ref = refs[top];
             prefetch(arena, ref);
+            if (top > 0)
+                prefetch(arena, refs[top - 1]);
             continue;
         }
         case BVH_LEAF: {
             const struct bvh_leaf *leaf = bvh_leaf_at(arena, ref);
             COUNT(leaves);
-            if (leaf_filter(r, leaf, edge_bits) && leaf_blocks(r, leaf, tmin, tmax))
+            if (leaf_filter(r, leaf, edge_bits, from_f, to_f) && leaf_blocks(r, leaf, tmin, tmax))
                 return true;
             break;
         }
@@ -378,7 +401,7 @@ static void kernel_closest(const struct accel *a, const struct ray *ray, struct 
 {
     struct trace_ray ready;
     double tmin;
-    struct trace_best best = {0.0, SCENE_NONE, SCENE_NONE, false};
+    struct trace_best best = {.object = SCENE_NONE, .primitive = SCENE_NONE};
     if (!(ray->tmin >= 0.0)) { /* keys cannot be ordered as integers */
         trace_plain.closest(a, ray, out);
         return;
@@ -418,7 +441,7 @@ struct runner {
 /* Readies the next ray that needs a walk; false when there is none left. */
 static bool runner_start(struct runner *s, const struct accel *a, const struct ray *ray)
 {
-    s->best = (struct trace_best){0.0, SCENE_NONE, SCENE_NONE, false};
+    s->best = (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE};
     if (!accel_ray(a, ray, &s->ray, &s->tmin, &s->best.t))
         return false;
     slabs_init(&s->slabs, &s->ray);
@@ -456,7 +479,7 @@ static inline bool runner_step_closest(struct runner *s, const struct accel *a, 
     case BVH_LEAF: {
         const struct bvh_leaf *leaf = bvh_leaf_at(arena, s->ref);
         COUNT(leaves);
-        if (leaf_filter(&s->ray, leaf, edge_bits)) {
+        if (leaf_filter(&s->ray, leaf, edge_bits, s->from, s->to)) {
             leaf_decide(a, &s->ray, leaf, s->tmin, SCENE_NONE, &s->best);
             s->to = round_up(s->best.t);
         }
@@ -502,8 +525,8 @@ static inline bool runner_step_any(struct runner *s, const struct accel *a, uint
     case BVH_LEAF: {
         const struct bvh_leaf *leaf = bvh_leaf_at(arena, s->ref);
         COUNT(leaves);
-        s->best.found =
-            leaf_filter(&s->ray, leaf, edge_bits) && leaf_blocks(&s->ray, leaf, s->tmin, s->best.t);
+        s->best.found = leaf_filter(&s->ray, leaf, edge_bits, s->from, s->to) &&
+                        leaf_blocks(&s->ray, leaf, s->tmin, s->best.t);
         break;
     }
     case BVH_OBJECT:

@@ -24,7 +24,7 @@ static void offer_triangle(const struct walk *w, const struct trace_ray *ray, co
 {
     double t;
     if (triangle_hit(w, ray, v, &t))
-        accel_offer(w->accel, t, w->tmin, object, primitive, best);
+        accel_offer(w->accel, t, w->tmin, object, primitive, NULL, 0, best);
 }
 
 static void offer_leaf(const struct walk *w, const struct trace_ray *ray,
@@ -159,7 +159,7 @@ static void offer_object(const struct walk *w, const struct trace_ray *ray, uint
         offer_instance(w, ray, number, best);
     else if (exact_sphere(ray, o->center, o->radius, w->tmin,
                           best->found ? __builtin_inf() : best->t, &t))
-        accel_offer(w->accel, t, w->tmin, number, 0, best);
+        accel_offer(w->accel, t, w->tmin, number, 0, NULL, 0, best);
 }
 
 /* Every primitive of the scene in order. */
@@ -178,7 +178,7 @@ static bool walk_scene(const struct accel *a, const struct ray *ray, bool any,
                        struct trace_ray *ready, struct trace_best *best)
 {
     struct walk w = {a, 0.0, any};
-    *best = (struct trace_best){0.0, SCENE_NONE, SCENE_NONE, false};
+    *best = (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE};
     if (!accel_ray(a, ray, ready, &w.tmin, &best->t))
         return false;
     if (a->options.builder == JOB_BUILDER_NONE)

@@ -12,7 +12,12 @@ set(trace_sources
   ${trace_dir}/trace_compress.c
   ${trace_dir}/trace_plain.c
   ${trace_dir}/trace_sse2.c)
+# gcc unrolls the loops over three axes only at -O3.
+set(trace_fast $<$<CONFIG:Release>:-O3>)
+set(trace_avx2_flags -mavx2 -mfma -mbmi -mbmi2 -mlzcnt -mpopcnt)
+set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/trace.c ${trace_dir}/trace_sse2.c
+  PROPERTIES COMPILE_OPTIONS "${trace_fast}")
 set_source_files_properties(${trace_dir}/trace_avx2.c PROPERTIES
-  COMPILE_OPTIONS "-mavx2;-mfma;-mbmi;-mbmi2;-mlzcnt;-mpopcnt")
+  COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags}")
 set_source_files_properties(${trace_dir}/trace_avx512.c PROPERTIES
-  COMPILE_OPTIONS "-mavx2;-mfma;-mbmi;-mbmi2;-mlzcnt;-mpopcnt;-mavx512f;-mavx512vl")
+  COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags};-mavx512f;-mavx512vl")
