@@ -79,8 +79,7 @@ static void suspects_dissolve(struct sched *s, struct job *j)
 static void job_stop(struct sched *s, uint32_t job)
 {
     struct job *j = &s->jobs[job];
-    job_leases_revoke(s, job);
-    job_checks_drop(s, job, 0, j->cell_count);
+    job_leases_revoke(s, job); /* checks stay open: a retried job owes them still */
     suspects_dissolve(s, j);
     TL_ASSERT(j->spots.leased == 0 && j->begun == 0);
     j->closing = true;
@@ -171,6 +170,7 @@ static bool job_remove(struct sched *s, uint32_t job)
         j->state = SCHED_CANCELLED;
         job_stop(s, job);
     }
+    job_checks_drop(s, job, 0, j->cell_count);
     j->removed = true;
     j->closing = true;
     j->close_slot = 0;

@@ -358,10 +358,9 @@ void lease_timer_fired(struct sched *s, uint32_t lease)
 void job_leases_revoke(struct sched *s, uint32_t job)
 {
     struct job *j = &s->jobs[job];
-    while (j->solo.count > 0)
-        lease_end(s, j->solo.head, END_REVOKED, false);
-    while (j->others.count > 0)
-        lease_end(s, j->others.head, END_REVOKED, false);
+    /* The last of several copies moves from one chain to the other. */
+    while (j->solo.count + j->others.count > 0)
+        lease_end(s, j->others.count > 0 ? j->others.head : j->solo.head, END_REVOKED, false);
 }
 
 static uint32_t worker_lease_of(const struct sched *s, const struct worker *w, uint64_t job)

@@ -88,8 +88,11 @@ static void check_count_votes(struct sched *s, uint32_t check)
             return;
         }
     }
-    if (c.vote_count == SCHED_VOTES_MAX)
-        job_fail(s, c.job, SCHED_WHY_NO_AGREEMENT, c.unit);
+    if (c.vote_count < SCHED_VOTES_MAX)
+        return;
+    /* If the job is retried, others are asked. */
+    s->checks[check].vote_count = 1;
+    job_fail(s, c.job, SCHED_WHY_NO_AGREEMENT, c.unit);
 }
 
 static void check_vote(struct sched *s, uint32_t check, struct vote vote)

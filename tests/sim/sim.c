@@ -166,6 +166,10 @@ struct sim_config sim_config_of(uint64_t seed)
     double seconds = c.fault_us > 0 ? 1.5e-6 * (double)c.fault_us * (0.3 + uniform(&r))
                                     : 1.0 + 14.0 * uniform(&r);
     c.cost_us = 1e6 * seconds * 2.5 * c.workers / (double)spots;
+    /* A spot is no longer than a thread's patience, on the slowest worker too. */
+    double cost_max_us = 2e6 / (1.0 + 4.2 * c.cost_spread);
+    if (c.cost_us > cost_max_us)
+        c.cost_us = cost_max_us;
     c.cell_cost = c.cost_us * (double)(UINT64_C(1) << sim_below(&r, 8)) / 16.0 + 1.0;
     return c;
 }

@@ -494,7 +494,7 @@ void master_up(struct sim *sim)
     limits.lease_count_max = sim->c.workers * 24 + 64;
     limits.suspect_count_max = sim->c.workers * 4 + 16;
     limits.lease_ms_min = 2000;
-    limits.load_ms = 10000;
+    limits.load_ms = 40000;
     limits.pause_ms_min = 250;
     limits.pause_ms_max = 8000;
     limits.seed = sim->c.seed;
