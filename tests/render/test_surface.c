@@ -51,7 +51,7 @@ static uint64_t count_self_hits(const struct scene *s, uint64_t *random, uint64_
     assert_int_equal(scene_build(s, &spec, NULL, &rs), ERR_OK);
     uint64_t hits = 0;
     for (int k = 0; k < 20; k++) {
-        struct ray ray = {.tmax = INFINITY};
+        struct ray ray = {.tmax = VEC_INFINITY};
         struct hit hit;
         /* Aim at a point of the object from outside. */
         vec3 target = v3(0, 0, 0);

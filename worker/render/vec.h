@@ -28,6 +28,9 @@ typedef struct frame {
 #define VEC_PI     3.14159265358979323846
 #define VEC_INV_PI 0.31830988618379067154
 
+/* C has it as a float only. */
+#define VEC_INFINITY ((double)INFINITY)
+
 static inline vec3 v3(double x, double y, double z)
 {
     return (vec3){x, y, z};

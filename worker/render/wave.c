@@ -55,7 +55,7 @@ void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target,
     v3_put(ray->org, org);
     v3_put(ray->dir, distant ? wi : v3_sub(target, org));
     ray->tmin = 0;
-    ray->tmax = distant ? INFINITY : 1;
+    ray->tmax = distant ? VEC_INFINITY : 1;
     w->shadow_path[w->shadow_count] = path;
     w->shadow_radiance[w->shadow_count] = radiance;
     w->shadow_count++;

@@ -95,7 +95,7 @@ static inline void wave_continue(struct render_scratch *w, uint32_t slot, uint32
     v3_put(ray->org, org);
     v3_put(ray->dir, dir);
     ray->tmin = 0;
-    ray->tmax = INFINITY;
+    ray->tmax = VEC_INFINITY;
     w->active[slot] = path;
 }
 
