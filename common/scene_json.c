@@ -185,6 +185,24 @@ bool scene_can_be_lit(const struct scene *s, enum job_integrator integrator)
 
 /* --- The file ------------------------------------------------------------ */
 
+/* A file of another renderer is told so once, not key by key. */
+static bool is_foreign(struct scene_loader *l)
+{
+    const struct json *root = l->g.root;
+    char keys[160] = "";
+    if (!root->first || json_get_member(root, "integrator") || json_get_member(root, "film"))
+        return false;
+    for (const struct json *m = root->first; m; m = m->next) {
+        size_t used = strlen(keys);
+        (void)snprintf(keys + used, sizeof keys - used, "%s%.40s", used ? ", " : "", m->key);
+    }
+    json_get_problem(&l->g, DIAG_ERROR, root, "foreign-scene",
+                     "scenes of other renderers are not read; import their models: tilery import",
+                     "not a scene of this format: no \"integrator\" and no \"film\" in it, but %s",
+                     keys);
+    return true;
+}
+
 static void load_parts(struct scene_loader *l)
 {
     static const char *const keys[] = {"integrator", "film",    "camera", "textures",
@@ -218,6 +236,8 @@ static enum err load(struct scene_loader *l)
     struct diag_list *problems = l->g.problems;
     size_t errors_before = problems->error_count;
     if (!json_get_is(&l->g, l->g.root, JSON_OBJECT))
+        return ERR_INPUT;
+    if (is_foreign(l))
         return ERR_INPUT;
     load_parts(l);
     if (l->out_of_memory)

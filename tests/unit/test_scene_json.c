@@ -218,6 +218,8 @@ static const struct refusal {
      "no-light", "$"},
     {"{\"integrator\": {}, \"film\": {}, \"camera\": {}}", "no-light", "$"},
     {"{\"integrator\": {}, \"film\": {}}", "missing-key", "$"},
+    {"{\"camera\": {}, \"renderer\": 3}", "foreign-scene", "$"},
+    {"{}", "missing-key", "$"},
     {"{\"integrator\": 3, \"film\": {}, \"camera\": {}}", "wrong-type", "$.integrator"},
     {"[]", "wrong-type", "$"},
     {SCENE("", "", "", "", "", "") " x", "json-syntax", "s.json"},
