@@ -202,13 +202,12 @@ enum err assimp_materials(struct assimp_import *a)
     for (unsigned i = 0; i < a->from->mNumMaterials; i++) {
         struct scene_material material;
         struct aiString name = {.length = 0};
-        char number[16];
+        char number[32 + sizeof name.data];
         scene_material_init(&material);
-        if (a->uv_sets)
-            (void)snprintf(number, sizeof number, "%u", i);
-        else
-            TL_TRY(take_material(a, a->from->mMaterials[i], a->emission[i], &material));
         (void)aiGetMaterialString(a->from->mMaterials[i], AI_MATKEY_NAME, &name);
+        (void)snprintf(number, sizeof number, "%u:%s", i, name.data);
+        if (!a->uv_sets)
+            TL_TRY(take_material(a, a->from->mMaterials[i], a->emission[i], &material));
         TL_TRY(import_add_material(a->im, &material, a->uv_sets ? number : name.data,
                                    &a->material_of[i]));
     }

@@ -8,14 +8,16 @@
 /* From inside a closed room. */
 #define INSIDE_FOV 75.0
 
-/* A side of the bounding box counts as open below this share of faces. */
-#define OPEN_SHARE 0.5
+/* A side of the bounding box counts as open below the first share of faces, as closed above the
+ * last. */
+#define OPEN_SHARE   0.5
+#define CLOSED_SHARE 0.9
 
 /* Axis and direction of the sides from which a room may be looked into, in order of preference. */
 static const struct side {
     int axis;
     double sign;
-} sides[] = {{2, 1}, {2, -1}, {0, 1}, {0, -1}, {1, 1}};
+} sides[] = {{2, 1}, {2, -1}, {0, 1}, {0, -1}, {1, 1}, {1, -1}};
 enum { SIDE_COUNT = sizeof sides / sizeof *sides };
 
 struct frame {
@@ -114,22 +116,25 @@ static void add_object_areas(const struct import *im, const struct scene_object 
     }
 }
 
-/* The side with the smallest share of faces on it, or NULL when all are closed. */
+/* The side with the smallest share of faces on it, or NULL when there is none to look through. What
+ * does not light itself is taken for a room only if all other sides are walls. */
 static const struct side *open_side(const struct import *im, const struct frame *f)
 {
     double area[SIDE_COUNT] = {0}, least = OPEN_SHARE;
     const struct side *best = NULL;
+    int wall_count = 0;
     for (size_t o = 0; o < im->scene.object_count; o++)
         add_object_areas(im, &im->scene.objects[o], f, area);
     for (int s = 0; s < SIDE_COUNT; s++) {
         int a = (sides[s].axis + 1) % 3, b = (sides[s].axis + 2) % 3;
         double share = area[s] / (4 * f->half[a] * f->half[b]);
+        wall_count += share > CLOSED_SHARE;
         if (share < least - 0.01) { /* a NaN, of a flat model, is no open side */
             least = share;
             best = &sides[s];
         }
     }
-    return best;
+    return im->has_lamp || wall_count == SIDE_COUNT - 1 ? best : NULL;
 }
 
 static void frame_room(const struct frame *f, const struct side *side, struct scene_camera *c)
@@ -141,7 +146,7 @@ static void frame_room(const struct frame *f, const struct side *side, struct sc
     c->position[axis] = f->middle[axis] + side->sign * distance;
     if (axis == 1) {
         c->ref_up[1] = 0;
-        c->ref_up[2] = -1;
+        c->ref_up[2] = -side->sign;
     }
 }
 
@@ -153,7 +158,7 @@ void import_frame(struct import *im)
     c->fov = FRAME_FOV;
     for (int i = 0; i < 3; i++)
         c->position[i] = c->look_at[i] = f.middle[i];
-    const struct side *side = im->has_lamp ? open_side(im, &f) : NULL;
+    const struct side *side = open_side(im, &f);
     if (side) {
         frame_room(&f, side, c);
     } else if (im->has_lamp && im->scene.light_count == 0) {

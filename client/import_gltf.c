@@ -132,6 +132,7 @@ void gltf_close(struct gltf *t)
     mem_free(t->buffers);
     for (int i = 0; i < GLTF_TABLE_COUNT; i++)
         mem_free(t->tables[i].items);
+    mem_free(t->order);
     mem_free(t->material_of);
     mem_free(t->emission);
     mem_free(t->uv_sets);
@@ -289,13 +290,27 @@ static enum err check_buffers(struct gltf *t, uint64_t *bytes)
 
 /* --- Putting it together ------------------------------------------------- */
 
-/* The number that the child gave a material as its name. */
-static size_t material_number(const char *name)
+/* The JSON's material for one that the child named "NUMBER:NAME": the number by assimp's order,
+ * unless the name is that of one other material only. The count of materials: the default. */
+static size_t material_index(const struct gltf *t, const char *told)
 {
-    size_t n = 0;
-    for (; *name >= '0' && *name <= '9' && n < SCENE_MATERIALS_MAX; name++)
-        n = n * 10 + (size_t)(*name - '0');
-    return n;
+    const struct gltf_table *materials = &t->tables[GLTF_MATERIALS];
+    size_t number = 0, found = materials->count, same = 0;
+    for (; *told >= '0' && *told <= '9' && number < SCENE_MATERIALS_MAX; told++)
+        number = number * 10 + (size_t)(*told - '0');
+    if (number >= t->order_count)
+        return materials->count;
+    const char *name = *told ? told + 1 : told;
+    for (size_t i = 0; i < materials->count; i++) {
+        const struct json *v = json_get_member(materials->items[i], "name");
+        if (!v || v->type != JSON_STRING || strcmp(v->text, name) != 0)
+            continue;
+        if (i == t->order[number])
+            return i;
+        found = i;
+        same++;
+    }
+    return same == 1 ? found : t->order[number];
 }
 
 /* Gives the geometry, whose materials are numbers, the materials of the JSON. */
@@ -304,10 +319,9 @@ static void join_materials(struct gltf *t, const struct import *geometry)
     struct scene *s = &t->im->scene;
     for (size_t i = 0; i < s->object_count; i++) {
         struct scene_object *o = &s->objects[i];
-        size_t last = t->tables[GLTF_MATERIALS].count, n = last;
+        size_t n = t->tables[GLTF_MATERIALS].count;
         if (o->material != SCENE_NONE)
-            n = material_number(geometry->scene.materials[o->material].name);
-        n = n < last ? n : last;
+            n = material_index(t, geometry->scene.materials[o->material].name);
         o->material = t->material_of[n];
         memcpy(o->radiance, t->emission[n], sizeof o->radiance);
         o->emits = o->radiance[0] > 0 || o->radiance[1] > 0 || o->radiance[2] > 0;
@@ -337,14 +351,13 @@ static void take_geometry(struct gltf *t, struct import *geometry)
 
 static char *uv_set_text(const struct gltf *t)
 {
-    size_t count = t->tables[GLTF_MATERIALS].count;
-    char *text = mem_alloc(count + 2);
+    char *text = mem_alloc(t->order_count + 2);
     if (!text)
         return NULL;
-    for (size_t i = 0; i < count; i++)
-        text[i] = (char)('0' + t->uv_sets[i]);
-    text[count] = '0'; /* the default material; never an empty text */
-    text[count + 1] = '\0';
+    for (size_t i = 0; i < t->order_count; i++)
+        text[i] = (char)('0' + t->uv_sets[t->order[i]]);
+    text[t->order_count] = '0'; /* the default material; never an empty text */
+    text[t->order_count + 1] = '\0';
     return text;
 }
 
@@ -369,6 +382,7 @@ static enum err import_parts(struct gltf *t, uint64_t bytes)
     enum err e = check_extensions(t), files = check_buffers(t, &bytes);
     if (e != ERR_OK || files != ERR_OK)
         return e != ERR_OK ? e : files;
+    TL_TRY(gltf_order(t));
     TL_TRY(gltf_materials(t));
     if (t->im->problems->error_count != errors)
         return ERR_INPUT;

@@ -47,6 +47,8 @@ struct gltf {
     const unsigned char *bin; /* the binary chunk of a GLB file, borrowed; or NULL */
     size_t bin_bytes;
     struct gltf_buffer *buffers;
+    uint32_t *order; /* the materials as assimp numbers them: those used, by first use */
+    size_t order_count;
     uint32_t *material_of;  /* glTF material -> ours; at [count] the default one */
     double (*emission)[3];  /* what objects of that material emit as area lights */
     unsigned char *uv_sets; /* of each material */
@@ -81,6 +83,9 @@ TL_NODISCARD enum err gltf_accessor(struct gltf *t, uint32_t accessor, uint32_t 
 TL_NODISCARD enum err gltf_data_uri(const char *uri, unsigned char **out, size_t *bytes);
 /* A copy of a relative URI with %20 and the like as characters; NULL: out of memory. */
 TL_NODISCARD char *gltf_uri_path(const char *uri);
+
+/* Refuses hierarchies that are no trees, and fills order. */
+TL_NODISCARD enum err gltf_order(struct gltf *t);
 
 /* Materials into the scene; fills material_of, emission and uv_sets. */
 TL_NODISCARD enum err gltf_materials(struct gltf *t);
