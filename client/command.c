@@ -29,16 +29,6 @@ int command_tradeoff(struct cli *cli)
     return EXIT_USAGE;
 }
 
-#ifndef TILERY_HAS_IMPORT
-int command_import(struct cli *cli)
-{
-    (void)cli;
-    cli_error("not-built", "write a scene JSON whose objects name the model",
-              "import is not built yet");
-    return EXIT_USAGE;
-}
-#endif
-
 static int unknown_topic(const char *topic)
 {
     const char *nearest = cli_command_nearest(topic);

@@ -3,18 +3,14 @@
 #include <string.h>
 
 #include "client/cli.h"
-#ifdef TILERY_HAS_IMPORT
 #include "client/import.h"
-#endif
 #include "common/mem.h"
 #include "common/scene_json.h"
 
 static enum err read_scene(struct load *load, const char *path)
 {
-#ifdef TILERY_HAS_IMPORT
     if (import_is_model(path))
         return import_model(path, &load->scene, &load->spec, &load->problems);
-#endif
     return scene_json_read_file(path, &load->scene, &load->spec, &load->problems);
 }
 
@@ -88,6 +84,7 @@ static void make_package(struct load *load)
     load->spec_json = job_spec_to_json(&load->spec);
     if (!load->spec_json || package_write(&load->scene, &load->package) != ERR_OK) {
         load->status = EXIT_MACHINE;
+        load->trouble = ERR_NOMEM;
         return;
     }
     load->has_package = true;
@@ -100,7 +97,9 @@ void load_scene(struct load *load, const struct cli_line *line, bool scene_only)
     diag_init(&load->problems);
     enum err e = read_scene(load, path);
     if (e != ERR_OK) {
-        load->status = e == ERR_NOMEM ? EXIT_MACHINE : EXIT_INPUT;
+        load->status = err_exit_status(e);
+        if (load->status == EXIT_MACHINE)
+            load->trouble = e;
         return;
     }
     load->has_scene = true;
@@ -128,6 +127,7 @@ int load_explain(const struct load *load, const char *tail)
 {
     (void)cli_problems(&load->problems, load->status ? tail : NULL);
     if (load->status == EXIT_MACHINE)
-        cli_error("no-memory", NULL, "out of memory while reading the scene");
+        cli_error(load->trouble == ERR_NOMEM ? "no-memory" : "machine", NULL,
+                  "the scene cannot be read: %s", err_text(load->trouble));
     return load->status;
 }

@@ -1,4 +1,5 @@
-/* client/load.h: a scene file and the options of a command line into what the farm takes.
+/* client/load.h: a scene file, or a model, and the options of a command line into what the farm
+ * takes.
  *
  * Blocking; may run on a thread of its own, since it owns all that it makes.
  */
@@ -16,7 +17,8 @@ struct load {
     char *spec_json;           /* owned */
     struct diag_list problems; /* errors and warnings, also after success */
     bool has_scene, has_package;
-    int status; /* exit status: 0, 2 (options do not fit), 3 (bad scene), 5 */
+    enum err trouble; /* of the machine, with status 5 */
+    int status;       /* exit status: 0, 2 (options do not fit), 3 (bad scene), 5 */
 };
 
 /* Reads, applies the options, checks, and, unless `scene_only`, makes the package. The result is

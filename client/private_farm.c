@@ -296,6 +296,17 @@ static bool read_addresses(struct private_farm *f, const char *line, size_t byte
     return listen_text && http_text;
 }
 
+/* True if the child has just ended; then it is collected. By its own id: this process has other
+ * children, too. */
+static bool child_ended(struct private_child *child, int options, int *status)
+{
+    if (child->pid <= 0 || waitpid(child->pid, status, options) != child->pid)
+        return false;
+    signals_child_remove(child->pid);
+    child->pid = 0;
+    return true;
+}
+
 /* The first line of the master: ERR_AGAIN until it is whole. */
 static enum err read_handshake(struct private_farm *f)
 {
@@ -315,12 +326,8 @@ static enum err read_handshake(struct private_farm *f)
     /* Its output is closed: it ends or has ended; if it only closed it, it is of no use. */
     int status = 0;
     (void)kill(f->master.pid, SIGKILL);
-    pid_t ended = waitpid(f->master.pid, &status, 0);
-    if (ended == f->master.pid) {
-        signals_child_remove(ended);
-        f->master.pid = 0;
+    if (child_ended(&f->master, 0, &status))
         say_end(f, &f->master, status);
-    }
     return ERR_IO;
 }
 
@@ -333,16 +340,6 @@ enum err private_farm_connect(struct private_farm *f)
     return ERR_OK;
 }
 
-static struct private_child *child_of(struct private_farm *f, pid_t pid)
-{
-    if (pid == f->master.pid)
-        return &f->master;
-    for (uint32_t i = 0; i < f->worker_count; i++)
-        if (f->workers[i].pid == pid)
-            return &f->workers[i];
-    return NULL;
-}
-
 static enum err child_restart(struct private_farm *f, struct private_child *child)
 {
     if (++child->restarts > PRIVATE_RESTARTS_MAX)
@@ -350,21 +347,23 @@ static enum err child_restart(struct private_farm *f, struct private_child *chil
     return child == &f->master ? master_start(f) : worker_start(f, child);
 }
 
+static enum err child_look(struct private_farm *f, struct private_child *child, uint32_t *restarted)
+{
+    int status = 0;
+    if (!child_ended(child, WNOHANG, &status))
+        return ERR_OK;
+    say_end(f, child, status);
+    TL_TRY(child_restart(f, child));
+    if (restarted)
+        ++*restarted;
+    return ERR_OK;
+}
+
 enum err private_farm_reap(struct private_farm *f, uint32_t *restarted)
 {
-    int status;
-    pid_t pid;
-    while ((pid = waitpid(-1, &status, WNOHANG)) > 0) {
-        struct private_child *child = child_of(f, pid);
-        signals_child_remove(pid);
-        if (!child)
-            continue;
-        child->pid = 0;
-        say_end(f, child, status);
-        TL_TRY(child_restart(f, child));
-        if (restarted)
-            ++*restarted;
-    }
+    TL_TRY(child_look(f, &f->master, restarted));
+    for (uint32_t i = 0; i < f->worker_count; i++)
+        TL_TRY(child_look(f, &f->workers[i], restarted));
     return ERR_OK;
 }
 
@@ -392,13 +391,10 @@ static bool any_running(const struct private_farm *f)
 
 static void collect(struct private_farm *f, int options)
 {
-    pid_t pid;
-    while (any_running(f) && (pid = waitpid(-1, NULL, options)) > 0) {
-        struct private_child *child = child_of(f, pid);
-        signals_child_remove(pid);
-        if (child)
-            child->pid = 0;
-    }
+    int status;
+    (void)child_ended(&f->master, options, &status);
+    for (uint32_t i = 0; i < f->worker_count; i++)
+        (void)child_ended(&f->workers[i], options, &status);
 }
 
 void private_farm_end(struct private_farm *f, int grace_ms)
