@@ -11,3 +11,5 @@ tilery_test(test_identity LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_identity.c ${render_kit})
 tilery_test(test_surface LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_surface.c ${render_kit})
+tilery_test(test_scene_build LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_build.c ${render_kit})

@@ -1,0 +1,295 @@
+/* scene_build: winding, instances, parallelogram lights, alpha, emission, empty scenes, and every
+ * allocation failing in turn. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <math.h>
+#include <string.h>
+
+#include "common/mem.h"
+#include "tests/render/render_kit.h"
+#include "worker/render/render_scene.h"
+#include "worker/scene/scene_build.h"
+
+static struct render_scene *build(const struct scene *s)
+{
+    struct job_spec spec = kit_spec(8, 4);
+    struct render_scene *rs;
+    assert_int_equal(scene_build(s, &spec, NULL, &rs), ERR_OK);
+    return rs;
+}
+
+static const double square[12] = {-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, 1, 0};
+
+/* Vertex normals that point the other way turn the faces; also under a mirroring transform. */
+static void winding_follows_the_normals(void **state)
+{
+    (void)state;
+    for (int turned = 0; turned < 2; turned++) {
+        for (int mirrored = 0; mirrored < 2; mirrored++) {
+            struct scene s;
+            scene_init(&s);
+            uint32_t o = kit_quad(&s, square, kit_diffuse(&s, 1, 1, 1));
+            struct scene_mesh *m = &s.meshes[0];
+            m->normals = mem_calloc(12, sizeof *m->normals);
+            for (int v = 0; v < 4; v++)
+                m->normals[3 * v + 2] = turned ? -1 : 1;
+            if (mirrored)
+                s.objects[o].transform[0] = -1;
+            struct render_scene *rs = build(&s);
+            struct ray ray = {.org = {0.1, 0.2, 3}, .dir = {0, 0, -1}, .tmax = 10};
+            struct hit hit;
+            accel_closest(rs->accel, &ray, &hit);
+            assert_int_equal(hit.object, o);
+            assert_true(turned ? hit.ng[2] < 0 : hit.ng[2] > 0);
+            render_scene_free(rs);
+            scene_release(&s);
+        }
+    }
+}
+
+static void two_triangles_make_one_light(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_emit(&s, kit_quad(&s, square, SCENE_NONE), 1, 2, 3);
+    static const double kite[12] = {2, 0, 0, 3, 0, 0, 4, 1.5, 0, 2, 1, 0};
+    kit_emit(&s, kit_quad(&s, kite, SCENE_NONE), 1, 2, 3);
+    struct render_scene *rs = build(&s);
+    assert_int_equal(rs->lights.count, 3);
+    assert_int_equal(rs->lights.lights[0].type, LIGHT_QUAD);
+    assert_int_equal(rs->object_lights[0], rs->object_lights[1]);
+    assert_int_equal(rs->lights.lights[1].type, LIGHT_TRIANGLE);
+    double area = 0, scale2 = rs->scale * rs->scale;
+    for (int i = 0; i < 3; i++)
+        area += rs->lights.lights[i].area / scale2;
+    assert_true(fabs(area - (4 + 1.75)) < 1e-5);
+    render_scene_free(rs);
+    scene_release(&s);
+}
+
+/* A bumpy sheet of enough triangles to be instanced. */
+static void add_sheet(struct scene *s, uint32_t material, bool again)
+{
+    enum { SIDE = 49 };
+    static const double corner[12] = {0};
+    uint32_t o = kit_quad(s, corner, material);
+    struct scene_mesh *m = &s->meshes[s->mesh_count - 1];
+    mem_free(m->positions);
+    mem_free(m->indices);
+    m->vertex_count = SIDE * SIDE;
+    m->triangle_count = 2 * (SIDE - 1) * (SIDE - 1);
+    m->positions = mem_alloc_array(m->vertex_count, 3 * sizeof *m->positions);
+    m->indices = mem_alloc_array(m->triangle_count, 3 * sizeof *m->indices);
+    assert_non_null(m->positions);
+    assert_non_null(m->indices);
+    for (uint32_t i = 0; i < m->vertex_count; i++) {
+        double x = (double)(i % SIDE) / (SIDE - 1), y = (double)(i / SIDE) / (SIDE - 1);
+        double p[3] = {2 * x - 1, 2 * y - 1, x * y * (1 - x) * (i % 3)};
+        memcpy(m->positions + 3 * (size_t)i, p, sizeof p);
+    }
+    uint32_t *t = m->indices;
+    for (uint32_t i = 0; i < (SIDE - 1) * (SIDE - 1); i++) {
+        uint32_t v = i / (SIDE - 1) * SIDE + i % (SIDE - 1);
+        const uint32_t two[6] = {v, v + 1, v + SIDE, v + 1, v + SIDE + 1, v + SIDE};
+        memcpy(t + 6 * (size_t)i, two, sizeof two);
+    }
+    if (!again)
+        return;
+    uint32_t second = kit_sphere(s, 0, 0, 0, 1, material);
+    struct scene_object *copy = &s->objects[second];
+    copy->type = SCENE_OBJECT_MESH;
+    copy->mesh = s->objects[o].mesh;
+    static const double transform[16] = {0.6, 0, 0, 0.3, 0, 0, -0.5, 0.2, 0, 0.7, 0, 1, 0, 0, 0, 1};
+    memcpy(copy->transform, transform, sizeof transform);
+}
+
+/* The same picture whether a mesh is instanced or written out. */
+static void instances_look_like_copies(void **state)
+{
+    (void)state;
+    struct kit_picture pictures[2];
+    for (int apart = 0; apart < 2; apart++) {
+        struct scene s;
+        scene_init(&s);
+        struct scene_material *m;
+        uint32_t material = kit_material(&s, SCENE_MATERIAL_DIFFUSE, &m);
+        m->twosided = true;
+        add_sheet(&s, material, true);
+        if (apart) {
+            add_sheet(&s, material, false);
+            s.objects[1].mesh = (uint32_t)(s.mesh_count - 1);
+            s.object_count--;
+        }
+        kit_constant_sky(&s, 1);
+        s.camera.position[2] = 4;
+        struct render_scene *rs = build(&s);
+        assert_int_equal(rs->objects[0].type, apart ? ACCEL_TRIANGLES : ACCEL_INSTANCE);
+        render_scene_free(rs);
+        struct job_spec spec = kit_spec(32, 16);
+        pictures[apart] = kit_render(&s, &spec, 0);
+        scene_release(&s);
+    }
+    double difference = 0;
+    for (size_t i = 0; i < 32 * 32 * 3; i++)
+        difference += fabs(pictures[0].mean[i] - pictures[1].mean[i]) / (32 * 32 * 3);
+    assert_true(difference < 5e-3);
+    kit_picture_free(&pictures[0]);
+    kit_picture_free(&pictures[1]);
+}
+
+/* A pane of opacity 1/4 that reflects nothing leaves 3/4 of the sky behind it and of a light. */
+static void alpha_lets_light_through(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    struct scene_material *m;
+    uint32_t pane = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+    memset(m->color, 0, sizeof m->color);
+    m->specular = 0;
+    m->metallic = 0;
+    m->alpha = 0.25;
+    m->alpha_used = true;
+    m->alpha_cutoff = -1;
+    kit_quad(&s, square, pane);
+    kit_constant_sky(&s, 2);
+    s.camera.position[2] = 3;
+    s.camera.fov = 20;
+    struct job_spec spec = kit_spec(16, 64);
+    struct kit_picture p = kit_render(&s, &spec, 0);
+    assert_true(fabs(kit_picture_mean(&p) - 1.5) < 0.02);
+    kit_picture_free(&p);
+    /* A wall behind the pane, lit through it by a point light at the camera: 3/4 twice. */
+    static const double wall[12] = {-9, -9, -1, 9, -9, -1, 9, 9, -1, -9, 9, -1};
+    s.envmap.texture = SCENE_NONE;
+    kit_quad(&s, wall, kit_diffuse(&s, 1, 1, 1));
+    struct scene_light *light = kit_light(&s, SCENE_LIGHT_POINT);
+    light->position[2] = 2.9;
+    spec.max_depth = 2;
+    spec.spp = 256;
+    p = kit_render(&s, &spec, 0);
+    s.objects[0].material = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->alpha = 0;
+    m->alpha_used = true;
+    m->alpha_cutoff = -1;
+    struct kit_picture clear = kit_render(&s, &spec, 0);
+    double ratio = kit_picture_mean(&p) / kit_picture_mean(&clear);
+    assert_true(fabs(ratio - 0.5625) < 0.01);
+    kit_picture_free(&p);
+    kit_picture_free(&clear);
+    scene_release(&s);
+}
+
+/* A wall lit by a panel whose emission is a texture, found by light sampling and by chance. */
+static void textured_emission_is_found_both_ways(void **state)
+{
+    (void)state;
+    static const double panel[12] = {-1, -1, 1, -1, 1, 1, 1, 1, 1, 1, -1, 1};
+    static const float uvs[8] = {0, 0, 0, 1, 1, 1, 1, 0};
+    struct scene s;
+    scene_init(&s);
+    kit_quad(&s, square, kit_diffuse(&s, 0.8, 0.8, 0.8));
+    struct scene_material *m;
+    uint32_t glow = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->emission[0] = m->emission[1] = m->emission[2] = 3;
+    m->emission_texture = kit_constant_texture(&s, 0);
+    s.textures[0].type = SCENE_TEXTURE_CHECKERBOARD;
+    s.textures[0].color[0][0] = 1;
+    s.textures[0].color[1][1] = 1;
+    uint32_t o = kit_quad(&s, panel, glow);
+    s.meshes[s.objects[o].mesh].uvs = mem_alloc_array(8, sizeof *uvs);
+    memcpy(s.meshes[s.objects[o].mesh].uvs, uvs, sizeof uvs);
+    s.camera.position[0] = 3;
+    s.camera.position[2] = 3;
+    double mean[3];
+    for (int k = 0; k < 3; k++) {
+        struct job_spec spec = kit_spec(32, 256);
+        spec.profile = (enum job_profile)k;
+        spec.max_depth = 2;
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        mean[k] = kit_picture_mean(&p);
+        kit_picture_free(&p);
+    }
+    assert_true(mean[0] > 0.01);
+    assert_true(fabs(mean[1] / mean[0] - 1) < 0.01);
+    assert_true(fabs(mean[2] / mean[0] - 1) < 0.02);
+    scene_release(&s);
+}
+
+static void nothing_at_all_is_black(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    for (int i = 0; i < JOB_INTEGRATOR_COUNT; i++) {
+        struct job_spec spec = kit_spec(8, 2);
+        spec.integrator = (enum job_integrator)i;
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_true(kit_picture_mean(&p) == 0);
+        kit_picture_free(&p);
+    }
+    /* Only triangles without area, and all in one point. */
+    static const double point[12] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+    kit_emit(&s, kit_quad(&s, point, kit_diffuse(&s, 1, 1, 1)), 1, 1, 1);
+    struct job_spec spec = kit_spec(8, 2);
+    struct kit_picture p = kit_render(&s, &spec, 0);
+    assert_true(kit_picture_mean(&p) == 0);
+    assert_int_equal(p.counters.nonfinite, 0);
+    kit_picture_free(&p);
+    scene_release(&s);
+}
+
+static void an_extent_beyond_double_is_refused(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_sphere(&s, 1e308, 0, 0, 1.7e308, kit_diffuse(&s, 1, 1, 1));
+    struct job_spec spec = kit_spec(8, 2);
+    struct render_scene *rs = NULL;
+    assert_int_equal(scene_build(&s, &spec, NULL, &rs), ERR_LIMIT);
+    scene_release(&s);
+}
+
+static void every_allocation_may_fail(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_cornell(&s, KIT_BOXES | KIT_AREA_LIGHT | KIT_GLASS_SPHERE);
+    struct job_spec spec = kit_spec(8, 2);
+    enum err e = ERR_NOMEM;
+    uint64_t tries = 0;
+    while (e == ERR_NOMEM) {
+        struct render_scene *rs = NULL;
+        mem_fail_after(tries++);
+        e = scene_build(&s, &spec, NULL, &rs);
+        mem_fail_after(UINT64_MAX);
+        assert_true((e == ERR_OK) == (rs != NULL));
+        render_scene_free(rs);
+    }
+    assert_int_equal(e, ERR_OK);
+    assert_true(tries > 4);
+    scene_release(&s);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(winding_follows_the_normals),
+        cmocka_unit_test(two_triangles_make_one_light),
+        cmocka_unit_test(instances_look_like_copies),
+        cmocka_unit_test(alpha_lets_light_through),
+        cmocka_unit_test(textured_emission_is_found_both_ways),
+        cmocka_unit_test(nothing_at_all_is_black),
+        cmocka_unit_test(an_extent_beyond_double_is_refused),
+        cmocka_unit_test(every_allocation_may_fail),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
