@@ -1,5 +1,6 @@
 #include "master/http.h"
 
+#include <arpa/inet.h>
 #include <errno.h>
 #include <inttypes.h>
 #include <microhttpd.h>
@@ -346,8 +347,10 @@ static bool host_known(const struct http *h, const char *host)
     if (!host)
         return false;
     host_name(host, name, sizeof name);
-    return strcasecmp(name, "localhost") == 0 || strncmp(name, "127.", 4) == 0 ||
-           strcmp(name, "[::1]") == 0;
+    struct in_addr v4; /* a name may begin like one: 127.0.0.1.example.com */
+    if (inet_pton(AF_INET, name, &v4) == 1)
+        return ntohl(v4.s_addr) >> 24 == 127;
+    return strcasecmp(name, "localhost") == 0 || strcmp(name, "[::1]") == 0;
 }
 
 static bool origin_known(struct request *r)

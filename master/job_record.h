@@ -43,8 +43,9 @@ struct job_totals {
 #define JOB_STATS_F64(X)                                                                           \
     X(load_s)                                                                                      \
     X(build_s)                                                                                     \
-    X(render_s) X(gather_s) X(total_s) X(spp_mean) X(relmse) X(relmse_low) X(relmse_high)          \
-        X(mean_low) X(mean_high)
+    X(render_s)                                                                                    \
+    X(gather_s) X(total_s) X(spp_mean) X(relmse) X(relmse_low) X(relmse_high) X(mean_low)          \
+        X(mean_high)
 
 /* Everything else that the report tells. */
 struct job_stats {

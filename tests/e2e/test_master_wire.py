@@ -1,0 +1,530 @@
+"""Scripted workers against a real tilery-master: good, late, lost, broken and lying.
+
+The wire is the Python one of wire_peer.py; results are made here, so that the picture that must
+come out of them is known.
+"""
+import hashlib
+import os
+import random
+import socket
+import struct
+import time
+
+import pytest
+
+from farm import Farm, SEED_SCENE, SLOW, wait_until
+from wire_peer import HEADER, Closed, Peer, frame
+
+MASK = (1 << 64) - 1
+PRIMES = (0x9E3779B185EBCA87, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x85EBCA77C2B2AE63,
+          0x27D4EB2F165667C5)
+SIDE, SPP, TILE = 64, 4, 16
+CELLS = (SIDE // TILE) ** 2
+
+
+def xxh64(data):
+    """XXH64 with seed 0, of which a zstd frame carries the low half."""
+    def rotate(x, r):
+        return (x << r | x >> (64 - r)) & MASK
+
+    def round_(acc, lane):
+        return rotate((acc + lane * PRIMES[1]) & MASK, 31) * PRIMES[0] & MASK
+
+    at, size = 0, len(data)
+    if size >= 32:
+        acc = [(PRIMES[0] + PRIMES[1]) & MASK, PRIMES[1], 0, -PRIMES[0] & MASK]
+        while at + 32 <= size:
+            lanes = struct.unpack_from("<4Q", data, at)
+            acc = [round_(a, lane) for a, lane in zip(acc, lanes)]
+            at += 32
+        h = sum(rotate(a, r) for a, r in zip(acc, (1, 7, 12, 18))) & MASK
+        for a in acc:
+            h = ((h ^ round_(0, a)) * PRIMES[0] + PRIMES[3]) & MASK
+    else:
+        h = PRIMES[4]
+    h = (h + size) & MASK
+    while at + 8 <= size:
+        h ^= round_(0, struct.unpack_from("<Q", data, at)[0])
+        h = (rotate(h, 27) * PRIMES[0] + PRIMES[3]) & MASK
+        at += 8
+    if at + 4 <= size:
+        h ^= struct.unpack_from("<I", data, at)[0] * PRIMES[0] & MASK
+        h = (rotate(h, 23) * PRIMES[1] + PRIMES[2]) & MASK
+        at += 4
+    for byte in data[at:]:
+        h ^= byte * PRIMES[4] & MASK
+        h = rotate(h, 11) * PRIMES[0] & MASK
+    h = (h ^ h >> 33) * PRIMES[1] & MASK
+    h = (h ^ h >> 29) * PRIMES[2] & MASK
+    return h ^ h >> 32
+
+
+def zstd_raw(data):
+    out = struct.pack("<IBQ", 0xFD2FB528, 0xE4, len(data))
+    blocks = [data[i:i + 100000] for i in range(0, len(data), 100000)]
+    for i, block in enumerate(blocks):
+        out += (len(block) << 3 | (i + 1 == len(blocks))).to_bytes(3, "little") + block
+    return out + struct.pack("<I", xxh64(data) & 0xFFFFFFFF)
+
+
+def tile_encode(values):
+    """docs/PROTOCOL.md: four byte planes, each as differences, one zstd frame."""
+    raw = struct.pack(f"<{len(values)}f", *values)
+    planes = b""
+    for plane in range(4):
+        column = raw[plane::4]
+        planes += bytes((b - a) & 255 for a, b in zip(b"\0" + column[:-1], column))
+    return zstd_raw(planes)
+
+
+class Scripted(Peer):
+    """A connection that plays the worker."""
+
+    def __init__(self, farm, threads=2, instance=None, hello=True, **changes):
+        host, port = farm.listen.split(":")
+        super().__init__(socket.create_connection((host, int(port)), timeout=20 * SLOW))
+        self.values = {"protocol_min": 1, "protocol_max": 1, "build_id": "test", "host": "here",
+                       "determinism_id": b"d" * 32, "name": "scripted", "threads": threads,
+                       "cpu": "none", "instance": instance or random.getrandbits(63) | 1,
+                       **changes}
+        self.leases = []
+        if hello:
+            self.send("Hello", **self.values)
+
+    def welcome(self):
+        welcome = self.expect("Welcome")
+        self.id = welcome["worker_id"]
+        return self
+
+    def expect(self, *names, timeout=20.0):
+        """As a worker: heartbeats go out while waiting, leases are kept."""
+        deadline = time.monotonic() + timeout * SLOW
+        while True:
+            try:
+                m = self.receive(0.4)
+            except TimeoutError:
+                if time.monotonic() > deadline:
+                    raise
+                self.beat()
+                continue
+            if m.type == "Lease" and "Lease" not in names:
+                self.leases.append(m)
+            elif m.type in names:
+                return m
+            elif m.type not in ("Heartbeat", "Revoke", "JobEnd", "JobInfo", "ResultAck"):
+                raise AssertionError(f"expected {names}, got {m.type} {dict(m)}")
+
+    def beat(self):
+        self.send("Heartbeat", sequence=1, sent_us=1, rtt_us=100, busy_threads=0)
+
+    def lease(self, timeout=20.0):
+        return self.leases.pop(0) if self.leases else self.expect("Lease", timeout=timeout)
+
+    def drain_messages(self, seconds=0.2):
+        """Takes what comes for a while."""
+        try:
+            while True:
+                m = self.receive(seconds)
+                if m.type == "Lease":
+                    self.leases.append(m)
+        except TimeoutError:
+            pass
+
+
+def pixels_of(lease):
+    return lease["cell_count"] * TILE * TILE
+
+
+def block_samples(block):
+    assert SPP == 4 and block in (0, 1)
+    return 2
+
+
+def honest(lease, value=0.5, **changes):
+    """The fields and body of a result whose every sample is `value`."""
+    pixels, samples = pixels_of(lease), block_samples(lease["block"])
+    fields = dict(job=lease["job"], cell_begin=lease["cell_begin"], cell_count=lease["cell_count"],
+                  block=lease["block"], epoch=lease["epoch"], samples=pixels * samples,
+                  rays=pixels * samples * 3, render_us=20000, raw_bytes=pixels * 12)
+    body = changes.pop("body", None)
+    if body is None:
+        body = tile_encode([value * samples] * (pixels * 3))
+    fields.update(changes)
+    return fields, body
+
+
+def expected_sha(value=0.5):
+    return hashlib.sha256(struct.pack("<f", value) * (SIDE * SIDE * 3)).hexdigest()
+
+
+def render_all(farm, peer, job, value=0.5):
+    """Answers leases honestly until the job is done."""
+    number = int(job[1:])
+    peer.send("JobReady", job=number, load_seconds=0.1, build_seconds=0.2, received_bytes=10)
+    while farm.job(job)["state"] != "done":
+        peer.drain_messages(0.05)
+        for lease in peer.leases:
+            fields, body = honest(lease, value)
+            peer.send("Result", body, **fields)
+        peer.leases = []
+        peer.beat()
+
+
+@pytest.fixture
+def farm(tmp_path):
+    with Farm(tmp_path) as made:
+        yield made
+        assert made.master.process.poll() is None, made.master.log()
+
+
+@pytest.fixture
+def job(farm):
+    return farm.submit(SEED_SCENE, "--spp", SPP, "--size", f"{SIDE}x{SIDE}", "--tile", TILE)
+
+
+# --- Good workers -------------------------------------------------------------------------------
+
+
+def test_whole_job(farm, job):
+    peer = Scripted(farm).welcome()
+    assert peer.id == "w1"
+    info = peer.expect("JobInfo")
+    assert info["job"] == 1 and len(info["package"]) == 32 and b'"spp":4' in info["spec_json"]
+    render_all(farm, peer, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert report["samples"] == SIDE * SIDE * SPP and report["rays"] == 3 * report["samples"]
+    assert report["workers"] == 1 and report["spp_min"] == report["spp_max"] == SPP
+    assert report["error"]["relmse"] == 0
+    assert report["seconds"]["load"] == 0.1 and report["seconds"]["build"] == 0.2
+    assert report["bytes"]["scene_sent"] == 10
+
+
+def test_results_out_of_order_and_twice(farm, job):
+    """Results in any order, each sent twice: the same picture, each unit counted once."""
+    peer = Scripted(farm, threads=8).welcome()
+    peer.send("JobReady", job=1)
+    rng = random.Random(5)
+    while farm.job(job)["state"] != "done":
+        peer.drain_messages(0.05)
+        rng.shuffle(peer.leases)
+        for lease in peer.leases:
+            fields, body = honest(lease)
+            peer.send("Result", body, **fields)
+            peer.send("Result", body, **fields)
+        peer.leases = []
+        peer.beat()
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert report["samples"] == SIDE * SIDE * SPP
+
+
+def test_chunks_are_served(farm, job):
+    peer = Scripted(farm).welcome()
+    info = peer.expect("JobInfo")
+    peer.send("ChunkRequest", sha256=info["package"])
+    data = peer.expect("ChunkData")
+    assert data["sha256"] == info["package"] and data.body[:4] == b"\x28\xb5\x2f\xfd"
+    assert data["raw_bytes"] > 0
+    peer.send("ChunkRequest", sha256=b"x" * 32)
+    assert peer.expect("ChunkMissing")["sha256"] == b"x" * 32
+    for _ in range(100):
+        peer.send("ChunkRequest", sha256=info["package"])
+    for _ in range(100):
+        assert peer.expect("ChunkData").body == data.body
+
+
+def test_heartbeat_is_echoed(farm):
+    peer = Scripted(farm).welcome()
+    peer.send("Heartbeat", sequence=77, sent_us=123456789, rtt_us=50)
+    while True:
+        m = peer.receive(5)
+        if m.type == "Heartbeat" and m["sequence"] == 77:
+            assert m["sent_us"] == 123456789
+            break
+    wait_until(lambda: farm.request("GET", "/api/v1/workers")[1]["items"][0]["rtt_ms"] == 0.05,
+               "the round trip to be shown")
+
+
+def test_nonfinite_samples_are_told(farm, job):
+    peer = Scripted(farm).welcome()
+    peer.send("JobReady", job=1)
+    lease = peer.lease()
+    fields, body = honest(lease, nonfinite=2, nonfinite_pixel=SIDE * 3 + 7, nonfinite_sample=1)
+    peer.send("Result", body, **fields)
+    render_all(farm, peer, job)
+    report = farm.job(job)
+    assert report["nonfinite_samples"] == 2
+    assert report["nonfinite_first"] == {"x": 7, "y": 3, "sample": 1}
+
+
+# --- Hello ----------------------------------------------------------------------------------------
+
+
+def refused(peer):
+    m = peer.expect("Refuse")
+    peer.expect_closed()
+    return m
+
+
+def test_versions(farm):
+    m = refused(Scripted(farm, protocol_min=7, protocol_max=9))
+    assert m["reason"] == 1 and "7 to 9" in m["text"]
+    Scripted(farm, protocol_min=1, protocol_max=9).welcome()
+
+
+def test_determinism_id(farm):
+    Scripted(farm).welcome()
+    m = refused(Scripted(farm, determinism_id=b"e" * 32))
+    assert m["reason"] == 2 and "determinism" in m["text"]
+    farm.kill_master()
+    farm.start_master()
+    assert refused(Scripted(farm, determinism_id=b"e" * 32))["reason"] == 2
+    Scripted(farm).welcome()
+
+
+def test_pinned_determinism_id(tmp_path):
+    with Farm(tmp_path, master_arguments=["--determinism-id", "65" * 32]) as made:
+        assert refused(Scripted(made))["reason"] == 2
+        Scripted(made, determinism_id=b"e" * 32).welcome()
+
+
+def test_token(tmp_path):
+    with Farm(tmp_path, token="a long secret") as made:
+        for token in ("", "a long secre", "a long secret ", "A long secret"):
+            m = refused(Scripted(made, token=token))
+            assert m["reason"] == 3 and "secret" not in m["text"]
+        Scripted(made, token="a long secret").welcome()
+        assert "a long secret" not in made.master.log()
+
+
+def test_hello_must_come_first_and_soon(farm):
+    peer = Scripted(farm, hello=False)
+    peer.send("Heartbeat", sequence=1)
+    peer.expect_closed()
+    peer = Scripted(farm, hello=False)
+    begin = time.monotonic()
+    peer.sock.sendall(b"TL")
+    peer.expect_closed(8 * SLOW)
+    assert 4 < time.monotonic() - begin < 7 * SLOW
+
+
+def test_same_process_keeps_its_id(farm, job):
+    first = Scripted(farm, instance=4242).welcome()
+    first.send("JobReady", job=1)
+    lease = first.lease()
+    second = Scripted(farm, instance=4242).welcome()
+    assert second.id == first.id
+    first.expect_closed()
+    other = Scripted(farm, instance=4343).welcome()
+    assert other.id != first.id
+    # What the old connection had is leased again; the old epoch's result is still good.
+    fields, body = honest(lease)
+    second.send("Result", body, **fields)
+    second.expect("ResultAck")
+    other.close()
+    render_all(farm, second, job)
+    assert farm.job(job)["image_sha256"] == expected_sha()
+
+
+# --- Losses ----------------------------------------------------------------------------------------
+
+
+def states(farm):
+    return {w["id"]: w["state"] for w in farm.request("GET", "/api/v1/workers")[1]["items"]}
+
+
+def test_silent_worker_is_lost(farm, job):
+    silent = Scripted(farm).welcome()
+    silent.send("JobReady", job=1)
+    silent.lease()
+    begin = time.monotonic()
+    good = Scripted(farm)
+    wait_until(lambda: good.beat() or states(farm)["w1"] == "lost", "w1 to be lost", 10, 0.2)
+    assert 2 < time.monotonic() - begin < 6 * SLOW
+    good.welcome()
+    render_all(farm, good, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert any("lost" in e["text"] for e in report["events"])
+
+
+def test_goodbye_returns_leases_at_once(farm, job):
+    leaving, staying = Scripted(farm).welcome(), Scripted(farm).welcome()
+    leaving.send("JobReady", job=1)
+    leaving.lease()
+    leaving.send("Goodbye", reason="test")
+    leaving.expect_closed()
+    begin = time.monotonic()
+    render_all(farm, staying, job)
+    assert time.monotonic() - begin < 3 * SLOW
+    assert farm.job(job)["image_sha256"] == expected_sha()
+
+
+def test_failed_units_and_jobs(farm, job):
+    bad, good = Scripted(farm).welcome(), Scripted(farm).welcome()
+    bad.send("JobReady", job=1)
+    lease = bad.lease()
+    bad.send("UnitFailed", job=1, epoch=lease["epoch"], error="ERR_NOMEM", text="no memory for it")
+    wait_until(lambda: any("no memory for it" in e["text"] for e in farm.job(job)["events"]),
+               "the failure to be told")
+    bad.send("JobFailed", job=1, error="ERR_NOMEM", text="scene too large")
+    render_all(farm, good, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert any("scene too large" in e["text"] for e in report["events"])
+
+
+def test_unacknowledged_result_survives_the_master(farm, job):
+    """What was acknowledged is kept over a SIGKILL, what comes after it is taken."""
+    peer = Scripted(farm, instance=99).welcome()
+    peer.send("JobReady", job=1)
+    lease = peer.lease()
+    fields, body = honest(lease)
+    peer.send("Result", body, **fields)
+    peer.expect("ResultAck")
+    units = farm.job(job)["units"]["total"]
+    farm.kill_master()
+    farm.start_master()
+    report = farm.job(job)
+    assert report["units"]["total"] == units >= 1 and report["samples"] == fields["samples"]
+    again = Scripted(farm, instance=99).welcome()
+    again.send("Result", body, **fields)
+    again.expect("ResultAck")
+    render_all(farm, again, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert report["samples"] == SIDE * SIDE * SPP
+
+
+# --- Broken and lying workers ----------------------------------------------------------------------
+
+
+def nan_body(lease, bits):
+    values = [1.0] * (pixels_of(lease) * 3)
+    values[len(values) // 2] = struct.unpack("<f", struct.pack("<I", bits))[0]
+    return tile_encode(values)
+
+
+BAD_RESULTS = {
+    "nan": lambda u: dict(body=nan_body(u, 0x7FC00000)),
+    "infinite": lambda u: dict(body=nan_body(u, 0x7F800000)),
+    "minus-infinite": lambda u: dict(body=nan_body(u, 0xFF800000)),
+    "empty": lambda u: dict(body=b""),
+    "garbage": lambda u: dict(body=b"\x28\xb5\x2f\xfd" + b"\x55" * 200),
+    "cut": lambda u: dict(body=honest(u)[1][:-5]),
+    "flipped": lambda u: dict(body=honest(u)[1][:40] + b"\x01" + honest(u)[1][41:]),
+    "too-long": lambda u: dict(body=tile_encode([1.0] * (pixels_of(u) * 3 + 3))),
+    "too-short": lambda u: dict(body=tile_encode([1.0] * (pixels_of(u) * 3 - 3))),
+    "raw-bytes": lambda u: dict(raw_bytes=pixels_of(u) * 12 + 12),
+    "samples": lambda u: dict(samples=1),
+    "nonfinite": lambda u: dict(nonfinite=1 << 60),
+    "nonfinite-place": lambda u: dict(nonfinite=1, nonfinite_pixel=1 << 40),
+    "outside": lambda u: dict(cell_begin=CELLS, cell_count=u["cell_count"]),
+    "overflow": lambda u: dict(cell_begin=0xFFFFFFFF, cell_count=0xFFFFFFFF),
+    "block": lambda u: dict(block=2),
+    "job": lambda u: dict(job=77),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_RESULTS)
+def test_bad_result_is_refused(farm, job, kind):
+    """None of it reaches the picture; the unit is rendered by somebody else."""
+    bad, good = Scripted(farm, threads=1).welcome(), Scripted(farm).welcome()
+    bad.send("JobReady", job=1)
+    lease = bad.lease()
+    fields, body = honest(lease, **BAD_RESULTS[kind](lease))
+    bad.send("Result", body, **fields)
+    try:
+        bad.drain_messages(0.3)
+    except (Closed, ConnectionError):
+        pass
+    bad.close()
+    assert farm.job(job)["units"]["total"] == 0
+    render_all(farm, good, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert report["samples"] == SIDE * SIDE * SPP
+    # Nonsense in itself ends the connection; a foreign job has no report to tell it in.
+    if kind not in ("job", "overflow", "nonfinite"):
+        assert report["units"]["rejected"] >= 1
+
+
+def test_liar_is_found(farm, job):
+    """A worker whose bits differ from those of two others is set aside; its work starts again."""
+    liar = Scripted(farm, threads=1).welcome()
+    liar.send("JobReady", job=1)
+    lease = liar.lease()
+    fields, body = honest(lease, 0.75)
+    liar.send("Result", body, **fields)
+    liar.expect("ResultAck")
+    # Another one has the same unit: a late duplicate is compared.
+    peers = [Scripted(farm, threads=1).welcome() for _ in range(3)]
+    for peer in peers:
+        peer.send("JobReady", job=1)
+    fields, body = honest(lease, 0.5)
+    peers[0].send("Result", body, **fields)
+    deadline = time.monotonic() + 30 * SLOW
+    while farm.job(job)["state"] != "done" and time.monotonic() < deadline:
+        for peer in [liar] + peers:
+            peer.drain_messages(0.03)
+            peer.beat()
+            for one in peer.leases:
+                fields, body = honest(one, 0.75 if peer is liar else 0.5)
+                peer.send("Result", body, **fields)
+            peer.leases = []
+    report = farm.job(job)
+    assert report["state"] == "done", report
+    assert report["image_sha256"] == expected_sha(0.5)
+    assert any("lied" in e["text"] for e in report["events"]), report["events"]
+    assert states(farm)[liar.id] == "set-aside"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_garbage(farm, seed):
+    """Random bytes, cut frames and wrong types: hung up on, and nobody else notices."""
+    rng = random.Random(seed)
+    good = Scripted(farm).welcome()
+    hello = frame("Hello", **{**good.values, "instance": 1234 + seed})
+    for i in range(60):
+        host, port = farm.listen.split(":")
+        with socket.create_connection((host, int(port))) as s:
+            kind = i % 6
+            if kind == 0:
+                s.sendall(rng.randbytes(rng.randrange(1, 300)))
+            elif kind == 1:
+                s.sendall(hello[:rng.randrange(len(hello))])
+            elif kind == 2:
+                broken = bytearray(hello)
+                broken[rng.randrange(len(broken))] ^= 1 << rng.randrange(8)
+                s.sendall(broken)
+            elif kind == 3:
+                s.sendall(HEADER.pack(b"TL", 1, 14, 0, 0, 10, 0x7FFFFFFF) + rng.randbytes(200))
+            elif kind == 4:
+                s.sendall(hello + frame("Welcome", worker_id="w9") + rng.randbytes(50))
+            else:
+                meta = rng.randbytes(rng.randrange(100))
+                s.sendall(hello + HEADER.pack(b"TL", 1, rng.randrange(20), 0, 0, len(meta), 0) + meta)
+        good.beat()
+    good.send("Heartbeat", sequence=5)
+    while good.receive(5)["sequence"] != 5:
+        pass
+    assert farm.request("GET", "/healthz")[0] == 200
+
+
+def test_flood_of_requests_from_one_that_never_reads(farm, job):
+    """A worker that asks for chunks and never reads costs a bounded amount of memory."""
+    peer = Scripted(farm).welcome()
+    info = peer.expect("JobInfo")
+    request = frame("ChunkRequest", sha256=info["package"])
+    peer.sock.settimeout(3)
+    try:
+        for _ in range(300):
+            peer.sock.sendall(request * 1000)
+    except (TimeoutError, OSError):
+        pass
+    assert farm.request("GET", "/healthz")[0] == 200
+    with open(f"/proc/{farm.master.pid}/statm", encoding="ascii") as f:
+        pages = int(f.read().split()[1])
+    assert pages * os.sysconf("SC_PAGESIZE") < 700 << 20
+    peer.close()
