@@ -13,6 +13,7 @@
 enum { ZIP_LEVEL = 4, TEXT_BYTES = 200, ALLOCATION_MAX = 1 << 30 };
 
 #define FILE_BYTES_MAX (UINT64_C(4) << 30)
+#define SAMPLES_MAX    (UINT64_C(1) << 30) /* of all channels read: 4 GiB */
 
 /* The library's memory: one damaged number must not take the machine's. */
 static void *library_alloc(size_t bytes)
@@ -323,6 +324,10 @@ static enum err add_plane(struct reader *r, const exr_attr_chlist_entry_t *chann
         return image_problem(r->problems, r->file, "unsupported",
                              "EXR: channel %.60s is subsampled, which is not supported",
                              channel->name.str);
+    uint64_t samples = (uint64_t)image->data_width * image->data_height;
+    if ((image->channel_count + 1) * samples > SAMPLES_MAX)
+        return image_problem(r->problems, r->file, "image-size",
+                             "EXR: over 2^30 samples in its channels");
     if (image->channel_count == EXR_CHANNELS_MAX || strlen(channel->name.str) > EXR_NAME_BYTES_MAX)
         return image_problem(r->problems, r->file, "exr-channels",
                              "EXR: over %d channels, or a name over %d bytes",

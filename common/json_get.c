@@ -9,7 +9,7 @@
 #include "common/mem.h"
 #include "common/number.h"
 
-enum { TEXT_BYTES = 600, KNOWN_SHOWN_MAX = 24 };
+enum { TEXT_BYTES = 600, KNOWN_SHOWN_MAX = 24, NEAREST_MAX = 1000 };
 
 #define WHOLE_MAX (UINT64_C(1) << 53) /* doubles count exactly up to here */
 
@@ -24,6 +24,11 @@ void json_get_problem(struct json_get *g, enum diag_severity severity, const str
     json_path(at, path);
     diag_add(g->problems, severity, (struct diag_place){.file = g->file, .path = path}, id, hint,
              "%s", text);
+}
+
+bool json_get_full(const struct json_get *g)
+{
+    return g->problems->count >= DIAG_MAX;
 }
 
 /* --- Opening: duplicate keys --------------------------------------------- */
@@ -124,7 +129,8 @@ const struct json *json_get_required(struct json_get *g, const struct json *obje
 void json_hint_known(const char *word, const char *const *known, size_t known_count,
                      char out[JSON_HINT_BYTES])
 {
-    const char *near = diag_nearest(word, known, known_count);
+    const char *near =
+        diag_nearest(word, known, known_count < NEAREST_MAX ? known_count : NEAREST_MAX);
     size_t used = 0;
     out[0] = '\0';
     if (near)
@@ -148,8 +154,9 @@ void json_get_keys(struct json_get *g, const struct json *object, const char *co
             found = strcmp(m->key, known[i]) == 0;
         if (found)
             continue;
-        char hint[JSON_HINT_BYTES];
-        json_hint_known(m->key, known, known_count, hint);
+        char hint[JSON_HINT_BYTES] = "";
+        if (!json_get_full(g))
+            json_hint_known(m->key, known, known_count, hint);
         json_get_problem(g, DIAG_ERROR, m, "unknown-key", hint, "unknown key \"%.100s\"", m->key);
     }
 }

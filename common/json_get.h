@@ -34,6 +34,9 @@ void json_get_close(struct json_get *g);
 void json_get_problem(struct json_get *g, enum diag_severity severity, const struct json *at,
                       const char *id, const char *hint, const char *format, ...) TL_PRINTF(6, 7);
 
+/* True when further problems are only counted, so that costly hints are for nobody. */
+bool json_get_full(const struct json_get *g);
+
 /* A member by name, or NULL. No problem is added. */
 const struct json *json_get_member(const struct json *object, const char *key);
 
@@ -45,7 +48,7 @@ const struct json *json_get_required(struct json_get *g, const struct json *obje
 void json_get_keys(struct json_get *g, const struct json *object, const char *const *known,
                    size_t known_count);
 
-/* "did you mean "a"? known: a, b, c" for a hint. */
+/* "did you mean "a"? known: a, b, c" for a hint; looks at the first 1,000 known words. */
 enum { JSON_HINT_BYTES = 600 };
 void json_hint_known(const char *word, const char *const *known, size_t known_count,
                      char out[JSON_HINT_BYTES]);

@@ -65,8 +65,9 @@ uint32_t scene_load_reference(struct scene_loader *l, const struct json *object,
     uint32_t index = name_table_find(table, name, strlen(name));
     if (index != UINT32_MAX)
         return index;
-    char hint[JSON_HINT_BYTES];
-    json_hint_known(name, (const char *const *)table->names, table->count, hint);
+    char hint[JSON_HINT_BYTES] = "";
+    if (!json_get_full(&l->g))
+        json_hint_known(name, (const char *const *)table->names, table->count, hint);
     json_get_problem(&l->g, DIAG_ERROR, v,
                      strcmp(what, "material") == 0 ? "unknown-material" : "unknown-texture",
                      table->count ? hint : "there are none in this file", "no %s \"%.100s\"", what,

@@ -218,6 +218,37 @@ static void claims_of_size_are_refused(void **state)
     }
 }
 
+/* Files that another library wrote: every compression, layout and type that we read; the others are
+ * refused by name. */
+static void foreign_exr_forms_are_read(void **state)
+{
+    (void)state;
+    static const char *const names[] = {"none_half",  "rle_float",       "zips_half_tiled",
+                                        "zip_uint",   "zip_float_tiled", "piz_half",
+                                        "pxr24_half", "piz_float_tiled", "two_parts"};
+    static const char *const refused[][2] = {{"refused_b44", "B44"}, {"refused_dwaa", "DWAA"}};
+    struct exr_image image;
+    struct diag_list problems;
+    diag_init(&problems);
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+        char *path = mem_sprintf("tests/unit/exr/%s.exr", names[i]);
+        assert_int_equal(exr_read_file(path, NULL, 0, &image, &problems), ERR_OK);
+        assert_true(image.data_width == 21 && image.data_height == 19 && image.channel_count == 1);
+        float unit = strcmp(names[i], "zip_uint") == 0 ? 1.0f : 0.25f;
+        for (size_t k = 0; k < (size_t)21 * 19; k++)
+            assert_true(image.planes[0][k] == (float)k * unit);
+        exr_image_release(&image);
+        mem_free(path);
+    }
+    for (size_t i = 0; i < 2; i++) {
+        char *path = mem_sprintf("tests/unit/exr/%s.exr", refused[i][0]);
+        assert_int_equal(exr_read_file(path, NULL, 0, &image, &problems), ERR_INPUT);
+        assert_non_null(strstr(problems.items[i].text, refused[i][1]));
+        mem_free(path);
+    }
+    diag_release(&problems);
+}
+
 /* Reads every file of a folder; gives how many there are and how many load. */
 static size_t read_folder(const char *name, size_t *good)
 {
@@ -270,6 +301,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(exr_round_trips_exactly),
         cmocka_unit_test(damaged_exr_is_refused),
+        cmocka_unit_test(foreign_exr_forms_are_read),
         cmocka_unit_test(png_encodes_srgb_rounded_to_nearest),
         cmocka_unit_test(radiance_forms_are_read),
         cmocka_unit_test(claims_of_size_are_refused),
