@@ -292,6 +292,32 @@ static void ply_faces_may_come_first(void **state)
     unload(&l);
 }
 
+static void memory_runs_out_cleanly(void **state)
+{
+    (void)state;
+    static const char obj[] =
+        "mtllib a\nusemtl b\ng c\nf 1/1/1 2 3 4 5\nv 0 0 0\nv 1 0 0\nv 1 1 0\n"
+        "v 0 1 0\nv 0 0.5 0\nvt 0 0\nvn 0 0 1\nf -1 -2\n";
+    static const char ply[] = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\n"
+                              "property float y\nproperty float z\nproperty float nx\n"
+                              "property float ny\nproperty float nz\nelement face 1\n"
+                              "property list uchar int vertex_indices\nend_header\n0 0 0 0 0 1\n"
+                              "1 0 0 0 0 1\n1 1 0 0 0 1\n0 1 0 0 0 1\n4 0 1 2 3\n";
+    for (int form = 0; form < 2; form++) {
+        struct loaded l = {.e = ERR_NOMEM};
+        for (uint64_t n = 0; l.e != ERR_OK; n++) {
+            mem_fail_after(n);
+            if (form == 0)
+                load_obj(&l, obj);
+            else
+                load_ply(&l, ply, sizeof ply - 1);
+            mem_fail_after(UINT64_MAX);
+            assert_true(l.e == ERR_OK || l.e == ERR_NOMEM);
+            unload(&l);
+        }
+    }
+}
+
 static void outside_models_load(void **state)
 {
     (void)state;
@@ -335,6 +361,7 @@ int main(void)
         cmocka_unit_test(ply_gives_the_same_in_every_form),
         cmocka_unit_test(ply_problems_are_named),
         cmocka_unit_test(ply_faces_may_come_first),
+        cmocka_unit_test(memory_runs_out_cleanly),
         cmocka_unit_test(outside_models_load),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

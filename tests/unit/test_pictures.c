@@ -249,6 +249,51 @@ static void foreign_exr_forms_are_read(void **state)
     diag_release(&problems);
 }
 
+/* Writes and reads once with the n-th allocation failing; ERR_OK when nothing failed. */
+static enum err try_all(uint64_t n, const struct exr_picture *picture, const float *rgb)
+{
+    struct buf exr, png;
+    struct scene_image image;
+    struct diag_list problems;
+    diag_init(&problems);
+    buf_init(&exr);
+    buf_init(&png);
+    mem_fail_after(n);
+    enum err e = exr_write(picture, &exr);
+    if (e == ERR_OK)
+        e = png_write_rgb(rgb, 8, 4, 1, &png);
+    for (int i = 0; e == ERR_OK && i < 2; i++) {
+        const struct buf *file = i ? &png : &exr;
+        e = image_read(file->data, file->bytes, "p", IMAGE_COLOR, &image, &problems);
+        if (e == ERR_OK)
+            mem_free(image.pixels);
+    }
+    mem_fail_after(UINT64_MAX);
+    buf_release(&exr);
+    buf_release(&png);
+    diag_release(&problems);
+    return e;
+}
+
+/* The library reports some of its own failures as damage; none may crash or leak. */
+static void memory_runs_out_cleanly(void **state)
+{
+    (void)state;
+    static float rgb[8 * 4 * 3];
+    const struct exr_channel channels[] = {{"R", rgb, 3}, {"G", rgb + 1, 3}, {"B", rgb + 2, 3}};
+    struct exr_picture picture = {.width = 8,
+                                  .height = 4,
+                                  .data_width = 8,
+                                  .data_height = 4,
+                                  .channels = channels,
+                                  .channel_count = 3};
+    fill(rgb, 8 * 4 * 3, 5);
+    uint64_t n = 0;
+    while (try_all(n, &picture, rgb) != ERR_OK)
+        n++;
+    assert_true(n > 10 && n < 10000);
+}
+
 /* Reads every file of a folder; gives how many there are and how many load. */
 static size_t read_folder(const char *name, size_t *good)
 {
@@ -305,6 +350,7 @@ int main(void)
         cmocka_unit_test(png_encodes_srgb_rounded_to_nearest),
         cmocka_unit_test(radiance_forms_are_read),
         cmocka_unit_test(claims_of_size_are_refused),
+        cmocka_unit_test(memory_runs_out_cleanly),
         cmocka_unit_test(outside_pictures_load_or_are_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
