@@ -267,6 +267,10 @@ static void render_block(struct kit_picture *p, const struct render_scene *scene
         TL_ASSERT(mem_call_count() == calls); /* render_unit allocates nothing */
         p->counters.samples += c.samples;
         p->counters.rays += c.rays;
+        if (p->counters.nonfinite == 0) {
+            p->counters.nonfinite_pixel = c.nonfinite_pixel;
+            p->counters.nonfinite_sample = c.nonfinite_sample;
+        }
         p->counters.nonfinite += c.nonfinite;
         add_unit(p, grid, unit, (int)(block & 1), rgb);
     }

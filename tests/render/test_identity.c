@@ -12,6 +12,7 @@
 
 #include "common/mem.h"
 #include "tests/render/render_kit.h"
+#include "worker/scene/scene_build.h"
 
 static void assert_same_picture(const struct kit_picture *a, const struct kit_picture *b)
 {
@@ -143,13 +144,63 @@ static void seed_formula(void **state)
     scene_release(&s);
 }
 
+/* A sample that is no number, or too large for the film, counts as zero and is reported. */
+static void nonfinite_samples_are_counted(void **state)
+{
+    (void)state;
+    static const double radiances[] = {1e308, 1e38};
+    for (int i = 0; i < 2; i++) {
+        struct scene s;
+        scene_init(&s);
+        kit_constant_sky(&s, radiances[i]);
+        s.envmap.scale = 1e4;
+        struct job_spec spec = kit_spec(6, 8);
+        spec.crop = (struct job_crop){2, 3, 3, 2};
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_int_equal(p.counters.nonfinite, 3 * 2 * 8);
+        assert_int_equal(p.counters.nonfinite_pixel, 3 * 6 + 2);
+        assert_int_equal(p.counters.nonfinite_sample, 0);
+        assert_true(kit_picture_mean(&p) == 0);
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
+}
+
+/* A unit that is told to stop does, and says so. */
+static void stop_is_obeyed(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_cornell(&s, KIT_BOXES | KIT_AREA_LIGHT);
+    struct job_spec spec = kit_spec(64, 32);
+    struct render_scene *rs;
+    struct render_scratch *scratch;
+    struct grid grid;
+    static float rgb[64 * 64 * 3];
+    atomic_bool stop = true;
+    struct render_counters counters;
+    assert_int_equal(scene_build(&s, &spec, NULL, &rs), ERR_OK);
+    assert_int_equal(render_scratch_new(&scratch), ERR_OK);
+    assert_int_equal(grid_init(&grid, &spec), ERR_OK);
+    struct unit unit = {0, grid.cell_count, 1};
+    assert_int_equal(render_unit(rs, &grid, unit, scratch, &stop, rgb, &counters), ERR_CANCELLED);
+    assert_int_equal(counters.rays, 0);
+    atomic_store(&stop, false);
+    assert_int_equal(render_unit(rs, &grid, unit, scratch, &stop, rgb, &counters), ERR_OK);
+    assert_int_equal(counters.samples, 64 * 64 * 16);
+    grid_release(&grid);
+    render_scratch_free(scratch);
+    render_scene_free(rs);
+    scene_release(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(units_change_no_bit),
-        cmocka_unit_test(crops_change_no_bit),
-        cmocka_unit_test(powers_of_two_change_no_bit),
-        cmocka_unit_test(seed_formula),
+        cmocka_unit_test(units_change_no_bit),           cmocka_unit_test(crops_change_no_bit),
+        cmocka_unit_test(powers_of_two_change_no_bit),   cmocka_unit_test(seed_formula),
+        cmocka_unit_test(nonfinite_samples_are_counted), cmocka_unit_test(stop_is_obeyed),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -161,6 +161,89 @@ static void profiles_agree_on_metal(void **state)
     scene_release(&s);
 }
 
+/* Glass, metal, a rough pane, cloth and lamps in a box under a sky: all that paths may share or
+ * not. */
+static void zoo(struct scene *s)
+{
+    kit_cornell(s, KIT_AREA_LIGHT | KIT_BOXES);
+    struct scene_material *m;
+    uint32_t glass = kit_material(s, SCENE_MATERIAL_GLASS, &m);
+    kit_sphere(s, -0.3, 0.9, 0.6, 0.25, glass);
+    uint32_t metal = kit_material(s, SCENE_MATERIAL_ROUGH_CONDUCTOR, &m);
+    m->alpha_x = m->alpha_y = 0.3;
+    m->etaT[0] = 0.2;
+    m->k[0] = m->k[1] = m->k[2] = 3;
+    kit_sphere(s, 0.3, 0.3, 0.7, 0.3, metal);
+    uint32_t frosted = kit_material(s, SCENE_MATERIAL_ROUGH_DIELECTRIC, &m);
+    m->alpha_x = m->alpha_y = 0.4;
+    kit_sphere(s, 0.6, 1.3, 0.2, 0.25, frosted);
+    uint32_t cloth = kit_material(s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->color[1] = 0.2;
+    m->metallic = 0;
+    m->roughness = 0.6;
+    m->transmission = 0.4;
+    m->sheen_color[2] = 0.8;
+    m->sheen_roughness = 0.5;
+    kit_sphere(s, -0.6, 1.5, 0.1, 0.3, cloth);
+    kit_emit(s, kit_sphere(s, 0.8, 0.2, 0.2, 0.08, SCENE_NONE), 10, 8, 20);
+    kit_constant_sky(s, 0.3);
+}
+
+/* Means of 4 x 4 pixel blocks over seeds, and the variances of those. */
+static void block_means(const struct scene *s, struct job_spec spec, int seeds, double *mean,
+                        double *variance)
+{
+    size_t side = spec.width / 4, blocks = side * side * 3;
+    memset(mean, 0, blocks * sizeof *mean);
+    memset(variance, 0, blocks * sizeof *variance);
+    for (int seed = 0; seed < seeds; seed++) {
+        spec.seed = (uint64_t)seed + 100;
+        struct kit_picture p = kit_render(s, &spec, 0);
+        assert_int_equal(p.counters.nonfinite, 0);
+        for (size_t b = 0; b < blocks; b++) {
+            double v = 0;
+            size_t plane = (size_t)spec.width * spec.width, k = b / (side * side);
+            size_t x = b % side * 4, y = b / side % side * 4;
+            for (size_t i = 0; i < 16; i++)
+                v += p.mean[k * plane + (y + i / 4) * spec.width + x + i % 4] / 16;
+            mean[b] += v;
+            variance[b] += v * v;
+        }
+        kit_picture_free(&p);
+    }
+    for (size_t b = 0; b < blocks; b++) {
+        mean[b] /= seeds;
+        variance[b] = (variance[b] / seeds - mean[b] * mean[b]) / (seeds - 1);
+    }
+}
+
+/* Paths that share (MIS) against paths that do not (NEE), block by block. */
+static void sharing_changes_no_mean(void **state)
+{
+    (void)state;
+    enum { SIDE = 32, BLOCKS = SIDE / 4 * SIDE / 4 * 3, SEEDS = 10 };
+    static double mean[2][BLOCKS], variance[2][BLOCKS];
+    struct scene s;
+    scene_init(&s);
+    zoo(&s);
+    struct job_spec spec = kit_spec(SIDE, 64);
+    spec.max_depth = 6;
+    block_means(&s, spec, SEEDS, mean[0], variance[0]);
+    spec.profile = JOB_PROFILE_NEE;
+    spec.spp = 128;
+    block_means(&s, spec, SEEDS, mean[1], variance[1]);
+    double worst = 0, sum2 = 0;
+    for (int b = 0; b < BLOCKS; b++) {
+        double z = (mean[0][b] - mean[1][b]) / sqrt(variance[0][b] + variance[1][b]);
+        worst = fabs(z) > worst ? fabs(z) : worst;
+        sum2 += z * z;
+    }
+    print_message("worst block %g standard deviations off, mean square %g\n", worst, sum2 / BLOCKS);
+    assert_true(worst < 8);
+    assert_true(sum2 / BLOCKS < 2);
+    scene_release(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -170,6 +253,7 @@ int main(void)
         cmocka_unit_test(integrating_sphere),
         cmocka_unit_test(profiles_agree_in_the_box),
         cmocka_unit_test(profiles_agree_on_metal),
+        cmocka_unit_test(sharing_changes_no_mean),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

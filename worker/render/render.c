@@ -1,5 +1,6 @@
 #include "worker/render/render.h"
 
+#include <float.h>
 #include <xmmintrin.h>
 
 #include "worker/render/wave.h"
@@ -190,6 +191,13 @@ static void count_nonfinite(const struct render_scene *scene, const struct path 
     }
 }
 
+/* True for numbers of which `count` can be added up in the film's floats. */
+static bool fits_film(rgb v, uint64_t count)
+{
+    double limit = (double)FLT_MAX / (double)count;
+    return fabs(v.r) < limit && fabs(v.g) < limit && fabs(v.b) < limit;
+}
+
 /* Adds the paths of one sample of a group; behind the last sample, writes the pixels. */
 static void add_group(const struct render_scene *scene, const struct path *paths, uint32_t count,
                       struct sums *sums, struct render_counters *counters)
@@ -197,7 +205,7 @@ static void add_group(const struct render_scene *scene, const struct path *paths
     bool last = sums->at.sample + 1 == sums->at.block.count;
     for (uint32_t i = 0; i < count; i++) {
         rgb value = rgb_scale(paths[i].radiance, paths[i].filter_weight);
-        if (rgb_is_finite(value))
+        if (fits_film(value, sums->at.block.count))
             sums->pixels[i] = rgb_add(sums->pixels[i], value);
         else
             count_nonfinite(scene, &paths[i], &sums->at, counters);

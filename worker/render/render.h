@@ -19,7 +19,7 @@ enum { RENDER_CHANNELS = 3 };
 
 struct render_counters {
     uint64_t samples, rays; /* rays: camera, bounce and shadow rays cast */
-    uint64_t nonfinite;     /* samples counted as zero radiance */
+    uint64_t nonfinite;     /* samples beyond float, counted as zero radiance */
     uint64_t
         nonfinite_pixel; /* y * width + x in the full picture, of the first; UINT64_MAX: none */
     uint64_t nonfinite_sample; /* its job_sample_number */
