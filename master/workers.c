@@ -304,6 +304,7 @@ static struct worker *worker_of(struct farm *f, const tilery_Hello *h)
     return w;
 }
 
+/* The store works in order: this is on disk before any result of the worker is. */
 static void keep_determinism(struct farm *f, const tilery_Hello *h)
 {
     if (f->determinism_known)
