@@ -9,7 +9,7 @@ import pytest
 
 import exr_pixels
 from farm import (BIN, GLASS_SCENE, SEED_SCENE, Daemon, Farm, clean_env, interrupt, report_of,
-                  tilery, wait_until)
+                  samples, tilery, wait_until)
 
 SMALL = ("--size", "48x40", "--spp", "4")
 LONG = ("--size", "200x200", "--spp", "4096")
@@ -120,7 +120,7 @@ def test_no_worker_is_said(empty):
 
 
 def test_watch_follows_to_the_end(farm):
-    job = farm.submit(GLASS_SCENE, "--size", "64x64", "--spp", "64")
+    job = farm.submit(GLASS_SCENE, "--size", "64x64", "--spp", samples(64))
     done = farm.cli("watch", job, "--json", timeout=120)
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
@@ -151,12 +151,13 @@ def test_cancel(farm, tmp_path):
 
 
 def test_retry_gives_the_same_bits(farm):
-    job = farm.submit(GLASS_SCENE, "--size", "96x96", "--spp", "128")
+    job = farm.submit(GLASS_SCENE, "--size", "96x96", "--spp", samples(128))
     farm.wait_progress(job, 0)
     assert farm.cli("cancel", job).returncode == 0
     assert farm.cli("retry", job).returncode == 0
     report = farm.wait_job(job, timeout=120)
-    other = farm.wait_job(farm.submit(GLASS_SCENE, "--size", "96x96", "--spp", "128"), timeout=120)
+    again = farm.submit(GLASS_SCENE, "--size", "96x96", "--spp", samples(128))
+    other = farm.wait_job(again, timeout=120)
     assert report["image_sha256"] == other["image_sha256"]
     assert farm.cli("retry", job).returncode == 1 # done: nothing to retry
 
@@ -179,7 +180,7 @@ def test_pause_resume_priority(farm):
 def test_drain(empty, tmp_path):
     """A drained worker finishes what it holds and leaves; the others go on."""
     staying, leaving = empty.worker(name="staying"), empty.worker(name="leaving")
-    job = empty.submit(GLASS_SCENE, "--size", "96x96", "--spp", "256")
+    job = empty.submit(GLASS_SCENE, "--size", "96x96", "--spp", samples(256))
     empty.wait_progress(job, 0)
     assert empty.cli("drain", leaving.id).returncode == 0
     empty.wait_job(job, timeout=120)

@@ -9,11 +9,11 @@ import time
 import pytest
 
 import exr_pixels
-from farm import (GLASS_SCENE, SEED_SCENE, Farm, alive, children_of, clean_env, interrupt, name_of,
-                  report_of, start_tilery, tilery, wait_until)
+from farm import (GLASS_SCENE, SEED_SCENE, SLOW, Farm, alive, children_of, clean_env, interrupt,
+                  name_of, report_of, samples, start_tilery, tilery, wait_until)
 
 # A few seconds on two workers of one thread.
-WORK = ("--size", "128x128", "--spp", "256")
+WORK = ("--size", "128x128", "--spp", samples(256))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_one_worker_of_three_killed(tmp_path, golden):
 
 
 def test_worker_stopped_and_continued(tmp_path, golden):
-    """SIGSTOP: silent but connected. Its leases go to others; what it sends later changes nothing."""
+    """SIGSTOP: silent but connected. Its leases go to others; late results change nothing."""
     with Farm(tmp_path) as farm:
         stopped, _ = farm.worker(), farm.worker()
         job = farm.submit(GLASS_SCENE, *WORK)
@@ -99,7 +99,8 @@ def test_workers_return_within_a_second(tmp_path):
         def back():
             return farm.request("GET", "/api/v1/farm")[1]["workers"] == len(workers)
         wait_until(back, "both workers to return", 5)
-        assert time.monotonic() - start < 1.5 * (6 if os.environ.get("TILERY_SANITIZED") else 1)
+        # The promise is 1 s; the rest is for a machine that does other things as well.
+        assert time.monotonic() - start < 3 * SLOW
 
 
 def test_master_killed_again_and_again(tmp_path, golden):
@@ -231,7 +232,7 @@ def test_render_interrupted(tmp_path, number):
     took = time.monotonic() - start
     assert process.returncode == 130, err
     assert "stopping 2 workers (again to kill)" in err
-    assert took < 2.5, took
+    assert took < 2.5 * SLOW, took
     assert not any(alive(pid) for pid in children)
     assert sorted(p.name for p in tmp_path.iterdir()) == []
 
@@ -248,7 +249,7 @@ def test_render_interrupted_twice(tmp_path):
     interrupt(process)
     process.communicate(timeout=30)
     assert process.returncode == 130
-    assert time.monotonic() - start < 1.5
+    assert time.monotonic() - start < 1.5 * SLOW
     assert not any(alive(pid) for pid in workers)
     assert list(tmp_path.iterdir()) == []
 
@@ -296,7 +297,7 @@ def test_disk_full_is_known_before(tmp_path, small_disk):
                   env=clean_env(TMPDIR=tmp_path))
     assert done.returncode == 5, done.stderr
     assert "disk full" in done.stderr and "MB free" in done.stderr
-    assert time.monotonic() - start < 10
+    assert time.monotonic() - start < 10 * SLOW
     assert out.read_text() == "precious"
 
 

@@ -12,9 +12,9 @@ import time
 
 import pytest
 
-from farm import BIN, GLASS_SCENE, SLOW, Farm, clean_env
+from farm import BIN, GLASS_SCENE, SLOW, Farm, clean_env, samples
 
-WORK = ("--size", "96x96", "--spp", "128")
+WORK = ("--size", "96x96", "--spp", samples(128))
 CSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
@@ -88,7 +88,7 @@ def test_bar(tmp_path):
 def test_narrow_and_resized(tmp_path):
     """The width is read at each paint: nothing wraps after the window shrinks."""
     terminal = Terminal(["render", GLASS_SCENE, "-o", tmp_path / "a.exr", "--size", "128x128",
-                         "--spp", "256"], terminal_env(tmp_path), columns=100)
+                         "--spp", samples(256)], terminal_env(tmp_path), columns=100)
     terminal.read(1.0)
     terminal.resize(24, 24)
     terminal.read(0.4)
@@ -129,7 +129,7 @@ def test_watch_shows_the_picture(tmp_path):
     """Half blocks above the line, refined in place; the last picture stays."""
     with Farm(tmp_path) as farm:
         farm.worker()
-        job = farm.submit(GLASS_SCENE, "--size", "128x128", "--spp", "256")
+        job = farm.submit(GLASS_SCENE, "--size", "128x128", "--spp", samples(256))
         env = terminal_env(tmp_path, TILERY_MASTER=farm.url, COLORTERM="truecolor")
         terminal = Terminal(["watch", job], env)
         assert terminal.finish(180) == 0, terminal.text[-2000:]
