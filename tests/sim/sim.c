@@ -132,7 +132,7 @@ static void config_faults(struct sim *r, struct sim_config *c)
     c->master_crashes = sim_chance(r, 0.7);
     c->hang_share = sim_chance(r, 0.3) ? 0.02 : 0.0;
     c->fail_share = sim_chance(r, 0.3) ? 0.03 : 0.0;
-    if (sim_chance(r, 0.15) && c->workers >= 4) {
+    if (sim_chance(r, 0.3) && c->workers >= 4) {
         /* Checks are not kept over a restart of the master, so liars need one that lives. */
         c->liars = 1 + (uint32_t)sim_below(r, c->workers / 4);
         c->verify = 1.0;
@@ -209,7 +209,7 @@ static void fault(struct sim *sim)
         net_stall(sim, w->conn, (enum sim_side)sim_below(sim, 2), sim_spread(sim, 3000000));
     } else if (kind < 75) {
         worker_stop(sim, worker, sim_spread(sim, 4000000));
-    } else if (kind < 83) {
+    } else if (kind < 80) {
         worker_resend_some(sim, worker);
     } else if (kind < 90) {
         fault_on_job(sim);

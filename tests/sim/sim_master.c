@@ -222,8 +222,10 @@ static void act(struct sim *sim, const struct sched_action *a, bool *stored)
                                         .b = sim->conns[conn].worker_life});
         break;
     }
-    case SCHED_VOTE:
     case SCHED_IGNORE:
+        SIM_CHECK(sim, a->why != SCHED_WHY_NO_UNIT, "a unit that was leased is called none");
+        break;
+    case SCHED_VOTE:
     case SCHED_WORKER_NEWS:
     case SCHED_UNIT_LOST:
         break;

@@ -202,12 +202,15 @@ void net_event(struct sim *sim, struct sim_event *e)
         break;
     case EV_UNSTALL:
         if (c->stalled[side] && c->stalled_us[side] == e->c) {
+            /* What was held comes before what is still on its way. */
             c->stalled[side] = false;
             struct packet *p = c->held[side];
             c->held[side] = c->held_tail[side] = NULL;
             for (struct packet *next; p; p = next) {
                 next = p->next;
-                schedule(sim, e->a, side, p);
+                struct sim_event held = {.type = EV_PACKET, .a = e->a, .b = e->b, .data = p};
+                packet_event(sim, &held);
+                mem_free(held.data);
             }
             if (sim->conns[e->a].reset[side])
                 lost(sim, e->a, side);
