@@ -1,11 +1,12 @@
 """Bad input: exit 3, every problem with its place, no job made, nothing written."""
 import copy
 import json
+import re
 import subprocess
 
 import pytest
 
-from farm import BIN, Farm, clean_env, tilery
+from farm import BIN, ROOT, Farm, clean_env, tilery
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -253,6 +254,17 @@ COMP_WORDS=(tilery render --sampler s) COMP_CWORD=3; _tilery; echo "${COMPREPLY[
     done = subprocess.run(["bash", "-c", script], text=True, capture_output=True, check=False,
                           env=clean_env(PATH=f"{BIN}:/usr/bin:/bin"))
     assert done.stdout.splitlines() == ["--sampler", "render", "sobol"], done.stderr
+
+
+def test_error_ids_are_documented():
+    """Each id that the client prints is an anchor of docs/ERRORS.md."""
+    anchors = set(re.findall(r"^### (\S+)$", (ROOT / "docs/ERRORS.md").read_text(), re.M))
+    ids = set()
+    for path in (ROOT / "client").glob("*.c"):
+        ids |= set(re.findall(r'(?:cli_error\(|complain\(problems, )"([a-z-]+)"',
+                              path.read_text()))
+    assert len(ids) > 20
+    assert ids - anchors == set()
 
 
 def test_settings(tmp_path):
