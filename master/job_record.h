@@ -39,13 +39,25 @@ struct job_totals {
 #define JOB_STATS_U64(X)                                                                           \
     X(retried)                                                                                     \
     X(speculated)                                                                                  \
-    X(rejected) X(verified) X(workers) X(scene_sent_bytes) X(spp_min) X(spp_max) X(error_known)
+    X(rejected)                                                                                    \
+    X(verified)                                                                                    \
+    X(workers)                                                                                     \
+    X(scene_sent_bytes)                                                                            \
+    X(spp_min)                                                                                     \
+    X(spp_max)                                                                                     \
+    X(error_known)
 #define JOB_STATS_F64(X)                                                                           \
     X(load_s)                                                                                      \
     X(build_s)                                                                                     \
     X(render_s)                                                                                    \
-    X(gather_s) X(total_s) X(spp_mean) X(relmse) X(relmse_low) X(relmse_high) X(mean_low)          \
-        X(mean_high)
+    X(gather_s)                                                                                    \
+    X(total_s)                                                                                     \
+    X(spp_mean)                                                                                    \
+    X(relmse)                                                                                      \
+    X(relmse_low)                                                                                  \
+    X(relmse_high)                                                                                 \
+    X(mean_low)                                                                                    \
+    X(mean_high)
 
 /* Everything else that the report tells. */
 struct job_stats {

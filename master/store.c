@@ -16,6 +16,11 @@
 enum { KEY_BYTES_MAX = 256 };
 #define KEY_LIFE_US (INT64_C(24) * 3600 * 1000000) /* of an idempotency key */
 
+/* For the log. */
+static const char *const op_names[] = {
+    "job", "result", "reset", "event", "value", "key", "checkpoint", "deletion",
+};
+
 enum op_kind {
     OP_JOB,
     OP_RESULT,
@@ -318,9 +323,9 @@ static enum err op_apply(struct store *s, struct op *op)
     case OP_DELETE_JOB:
         return store_db_delete_job(s->db, op->job_id);
     case OP_CHECKPOINT:
-        break;
+        break; /* runs alone: run_checkpoint */
     }
-    TL_ASSERT(!"an operation without rows");
+    TL_ASSERT(op->kind < OP_CHECKPOINT);
     return ERR_STATE;
 }
 
@@ -598,7 +603,7 @@ void store_poll(struct store *s)
         if (op->kind == OP_RESULT)
             atomic_fetch_sub(&s->waiting_bytes, op->byte_count);
         if (op->result != ERR_OK)
-            log_error("store", "not stored kind=%d error=\"%s\"", (int)op->kind,
+            log_error("store", "not stored what=%s error=\"%s\"", op_names[op->kind],
                       err_text(op->result));
         if (op->done)
             op->done(op->ctx, op->result);
