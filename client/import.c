@@ -164,8 +164,9 @@ static void tell_left_out(struct import *im)
 static enum err refuse_empty(struct import *im)
 {
     return import_fail(im, "no-face", "export the model with its faces",
-                       "no face in it: it holds %llu points and %llu lines",
-                       (unsigned long long)im->point_count, (unsigned long long)im->line_count);
+                       "no face in it: it holds %llu vertices, %llu points and %llu lines",
+                       (unsigned long long)im->vertex_count, (unsigned long long)im->point_count,
+                       (unsigned long long)im->line_count);
 }
 
 /* As many pixels as the default picture, in the camera's shape. */

@@ -238,6 +238,8 @@ static enum err take_light(struct assimp_import *a, const struct aiLight *from)
 
 enum err assimp_hierarchy(struct assimp_import *a)
 {
+    for (unsigned i = 0; i < a->from->mNumMeshes; i++)
+        a->im->vertex_count += a->from->mMeshes[i]->mNumVertices;
     TL_TRY(list_nodes(a));
     for (size_t i = 0; i < a->node_count; i++)
         for (unsigned m = 0; m < a->nodes[i].node->mNumMeshes; m++)

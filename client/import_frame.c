@@ -11,7 +11,7 @@
 /* A side of the bounding box counts as open below the first share of faces, as closed above the
  * last. */
 #define OPEN_SHARE   0.5
-#define CLOSED_SHARE 0.9
+#define CLOSED_SHARE 0.8
 
 /* Axis and direction of the sides from which a room may be looked into, in order of preference. */
 static const struct side {
@@ -81,7 +81,7 @@ static void frame_object(const struct frame *f, struct scene_camera *c)
         c->position[i] = f->middle[i] + back[i] * distance;
 }
 
-/* --- Rooms, which light themselves: through their most open side ---------- */
+/* --- Rooms: through their most open side ---------------------------------- */
 
 /* Area of a triangle seen along an axis. */
 static double area_along(const double p[3][3], int axis)
@@ -116,13 +116,13 @@ static void add_object_areas(const struct import *im, const struct scene_object 
     }
 }
 
-/* The side with the smallest share of faces on it, or NULL when there is none to look through. What
- * does not light itself is taken for a room only if all other sides are walls. */
-static const struct side *open_side(const struct import *im, const struct frame *f)
+/* How many sides are walls, and in *best the side with the smallest share of faces on it; NULL when
+ * none is open. */
+static int count_walls(const struct import *im, const struct frame *f, const struct side **best)
 {
     double area[SIDE_COUNT] = {0}, least = OPEN_SHARE;
-    const struct side *best = NULL;
     int wall_count = 0;
+    *best = NULL;
     for (size_t o = 0; o < im->scene.object_count; o++)
         add_object_areas(im, &im->scene.objects[o], f, area);
     for (int s = 0; s < SIDE_COUNT; s++) {
@@ -131,10 +131,19 @@ static const struct side *open_side(const struct import *im, const struct frame 
         wall_count += share > CLOSED_SHARE;
         if (share < least - 0.01) { /* a NaN, of a flat model, is no open side */
             least = share;
-            best = &sides[s];
+            *best = &sides[s];
         }
     }
-    return im->has_lamp || wall_count == SIDE_COUNT - 1 ? best : NULL;
+    return wall_count;
+}
+
+/* True if something besides lamps is there to be seen from inside. */
+static bool has_plain_object(const struct import *im)
+{
+    for (size_t o = 0; o < im->scene.object_count; o++)
+        if (!im->scene.objects[o].emits)
+            return true;
+    return false;
 }
 
 static void frame_room(const struct frame *f, const struct side *side, struct scene_camera *c)
@@ -158,10 +167,12 @@ void import_frame(struct import *im)
     c->fov = FRAME_FOV;
     for (int i = 0; i < 3; i++)
         c->position[i] = c->look_at[i] = f.middle[i];
-    const struct side *side = open_side(im, &f);
-    if (side) {
-        frame_room(&f, side, c);
-    } else if (im->has_lamp && im->scene.light_count == 0) {
+    const struct side *open;
+    int wall_count = count_walls(im, &f, &open);
+    bool is_lit_inside = im->has_lamp && im->scene.light_count == 0;
+    if (open && wall_count >= (im->has_lamp ? 3 : SIDE_COUNT - 1)) {
+        frame_room(&f, open, c);
+    } else if (is_lit_inside && wall_count == SIDE_COUNT && has_plain_object(im)) {
         c->position[2] += 0.9 * f.half[2];
         c->fov = INSIDE_FOV;
     } else {

@@ -261,33 +261,6 @@ static int version_of(struct gltf *t)
     return 0;
 }
 
-/* Buffers that are files must be there; how large they are says how long reading may take. */
-static enum err check_buffers(struct gltf *t, uint64_t *bytes)
-{
-    enum err e = ERR_OK;
-    for (size_t i = 0; i < t->tables[GLTF_BUFFERS].count; i++) {
-        const struct json *uri = json_get_member(t->tables[GLTF_BUFFERS].items[i], "uri");
-        struct stat st;
-        if (!uri || uri->type != JSON_STRING || strncmp(uri->text, "data:", 5) == 0)
-            continue;
-        char *path = gltf_uri_path(uri->text);
-        char *joined = path ? file_join(t->im->folder, path) : NULL;
-        bool there = joined && stat(joined, &st) == 0 && S_ISREG(st.st_mode);
-        if (joined && !there) {
-            json_get_problem(&t->g, DIAG_ERROR, uri, "missing-file", NULL, "no file \"%.200s\"",
-                             path);
-            e = ERR_INPUT;
-        }
-        *bytes += there ? (uint64_t)st.st_size : 0;
-        bool out_of_memory = !joined;
-        mem_free(joined);
-        mem_free(path);
-        if (out_of_memory)
-            return ERR_NOMEM;
-    }
-    return e;
-}
-
 /* --- Putting it together ------------------------------------------------- */
 
 /* The JSON's material for one that the child named "NUMBER:NAME": the number by assimp's order,
@@ -317,17 +290,21 @@ static size_t material_index(const struct gltf *t, const char *told)
 static void join_materials(struct gltf *t, const struct import *geometry)
 {
     struct scene *s = &t->im->scene;
+    bool default_used = false;
     for (size_t i = 0; i < s->object_count; i++) {
         struct scene_object *o = &s->objects[i];
         size_t n = t->tables[GLTF_MATERIALS].count;
         if (o->material != SCENE_NONE)
             n = material_index(t, geometry->scene.materials[o->material].name);
+        default_used |= n == t->tables[GLTF_MATERIALS].count;
         o->material = t->material_of[n];
         memcpy(o->radiance, t->emission[n], sizeof o->radiance);
         o->emits = o->radiance[0] > 0 || o->radiance[1] > 0 || o->radiance[2] > 0;
         for (int c = 0; c < 3; c++)
             t->im->has_lamp |= o->emits && o->radiance[c] > 1;
     }
+    if (!default_used) /* it was added last */
+        mem_free(s->materials[--s->material_count].name);
 }
 
 /* Moves meshes and objects from the child's scene to ours. */
@@ -340,6 +317,7 @@ static void take_geometry(struct gltf *t, struct import *geometry)
     to->object_count = from->object_count;
     t->im->mesh_capacity = to->mesh_count;
     t->im->object_capacity = to->object_count;
+    t->im->vertex_count += geometry->vertex_count;
     t->im->point_count += geometry->point_count;
     t->im->line_count += geometry->line_count;
     from->meshes = NULL;
@@ -379,9 +357,9 @@ static enum err read_geometry(struct gltf *t, uint64_t bytes)
 static enum err import_parts(struct gltf *t, uint64_t bytes)
 {
     size_t errors = t->im->problems->error_count;
-    enum err e = check_extensions(t), files = check_buffers(t, &bytes);
-    if (e != ERR_OK || files != ERR_OK)
-        return e != ERR_OK ? e : files;
+    enum err e = check_extensions(t), checked = gltf_check(t, &bytes);
+    if (e != ERR_OK || checked != ERR_OK)
+        return e != ERR_OK ? e : checked;
     TL_TRY(gltf_order(t));
     TL_TRY(gltf_materials(t));
     if (t->im->problems->error_count != errors)

@@ -84,6 +84,10 @@ TL_NODISCARD enum err gltf_data_uri(const char *uri, unsigned char **out, size_t
 /* A copy of a relative URI with %20 and the like as characters; NULL: out of memory. */
 TL_NODISCARD char *gltf_uri_path(const char *uri);
 
+/* Refuses buffers that are not there, and views and accessors that reach over their ends; adds up
+ * the sizes of the buffers. */
+TL_NODISCARD enum err gltf_check(struct gltf *t, uint64_t *buffer_bytes);
+
 /* Refuses hierarchies that are no trees, and fills order. */
 TL_NODISCARD enum err gltf_order(struct gltf *t);
 

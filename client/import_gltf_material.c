@@ -83,7 +83,7 @@ static void set_uv_matrix(struct gltf *t, const struct json *info, double m[6])
     gltf_number(t, x, "rotation", -limit, limit, &turn);
     double c = dmath_cos(turn), s = dmath_sin(turn);
     double a = c * scale[0], b = s * scale[1], d = -s * scale[0], e = c * scale[1];
-    const double made[6] = {a, -b, b + offset[0], -d, e, 1 - e - offset[1]};
+    const double made[6] = {a, 0 - b, b + offset[0], 0 - d, e, 1 - e - offset[1]};
     memcpy(m, made, sizeof made);
 }
 

@@ -408,6 +408,7 @@ enum err import_obj(struct import *im, const char *text, size_t bytes)
     struct obj_model model;
     struct shelf shelf = {0};
     TL_TRY(obj_read(text, bytes, im->path, &model, im->problems));
+    im->vertex_count += model.position_count;
     im->point_count += model.point_count;
     im->line_count += model.line_count;
     enum err e = find_libraries(im, &model, &shelf);

@@ -80,6 +80,29 @@ static void put_index(size_t index, uint32_t *out)
         *out = (uint32_t)index;
 }
 
+/* Rounding a unit vector to float leaves it a little off, so that reading a written mesh would turn
+ * it again. Turned until it stays, it is the same after writing and reading; the few that swing
+ * between two places are nudged. */
+static void settle_normal(float n[3])
+{
+    for (int i = 0; i < 64; i++) {
+        double x = (double)n[0], y = (double)n[1], z = (double)n[2];
+        double largest = fmax(fabs(x), fmax(fabs(y), fabs(z)));
+        if (!(largest > 0))
+            return;
+        x /= largest;
+        y /= largest;
+        z /= largest;
+        double length = sqrt(x * x + y * y + z * z);
+        const float next[3] = {(float)(x / length), (float)(y / length), (float)(z / length)};
+        if (next[0] == n[0] && next[1] == n[1] && next[2] == n[2])
+            return;
+        memcpy(n, next, sizeof next);
+        if (i % 4 == 3)
+            n[i / 4 % 3] = nextafterf(n[i / 4 % 3], 0);
+    }
+}
+
 enum err import_add_mesh(struct import *im, struct scene_mesh *mesh, uint32_t *out)
 {
     struct scene *s = &im->scene;
@@ -92,6 +115,8 @@ enum err import_add_mesh(struct import *im, struct scene_mesh *mesh, uint32_t *o
         scene_mesh_release(mesh);
         return e;
     }
+    for (size_t i = 0; mesh->normals && i < mesh->vertex_count; i++)
+        settle_normal(mesh->normals + 3 * i);
     (void)model_fix_winding(mesh);
     put_index(s->mesh_count, out);
     s->meshes[s->mesh_count++] = *mesh;

@@ -105,6 +105,7 @@ enum err import_wire_send(int fd, const struct import *im, const struct import_m
     buf_put(&head, magic, sizeof magic);
     buf_put_u32(&head, IMPORT_WIRE_VERSION);
     buf_put_u32(&head, (uint32_t)result);
+    buf_put_u64(&head, im->vertex_count);
     buf_put_u64(&head, im->point_count);
     buf_put_u64(&head, im->line_count);
     buf_put_u8(&head, im->has_camera);
@@ -255,6 +256,7 @@ enum err import_wire_get(const void *data, size_t bytes, struct import *im,
         buf_get_u32(&in) != IMPORT_WIRE_VERSION)
         return ERR_CORRUPT;
     uint32_t result = buf_get_u32(&in);
+    im->vertex_count += buf_get_u64(&in);
     im->point_count += buf_get_u64(&in);
     im->line_count += buf_get_u64(&in);
     im->has_camera = buf_get_u8(&in) != 0;
