@@ -299,8 +299,8 @@ static bool vertex_alloc(struct reader *r)
 static void put_unit(const double n[3], float out[3])
 {
     double largest = fmax(fabs(n[0]), fmax(fabs(n[1]), fabs(n[2])));
-    if (!(largest > 0) || !isfinite(largest))
-        return;
+    if (!(largest > 0) || !isfinite(n[0]) || !isfinite(n[1]) || !isfinite(n[2]))
+        return; /* no normal there; fmax passes a lone NaN over */
     double x = n[0] / largest, y = n[1] / largest, z = n[2] / largest;
     double length = sqrt(x * x + y * y + z * z);
     out[0] = (float)(x / length);
