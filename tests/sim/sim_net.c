@@ -156,13 +156,6 @@ static void packet_event(struct sim *sim, struct sim_event *e)
 {
     struct conn *c = &sim->conns[e->a];
     struct sim_worker *w = &sim->workers[c->worker];
-    if (e->b == SIDE_WORKER && c->open[SIDE_WORKER] && w->stopped) {
-        /* A stopped process reads nothing until it continues. */
-        struct sim_event again = *e;
-        e->data = NULL;
-        sim_push(sim, w->stop_end_us, again);
-        return;
-    }
     if (!c->open[e->b] || c->reset[e->b])
         return;
     if (c->stalled[e->b]) {
@@ -173,6 +166,13 @@ static void packet_event(struct sim *sim, struct sim_event *e)
             c->held[e->b] = e->data;
         c->held_tail[e->b] = e->data;
         e->data = NULL;
+        return;
+    }
+    if (e->b == SIDE_WORKER && w->stopped) {
+        /* A stopped process reads nothing until it continues. */
+        struct sim_event again = *e;
+        e->data = NULL;
+        sim_push(sim, w->stop_end_us, again);
         return;
     }
     deliver(sim, e->a, (enum sim_side)e->b, e->data);
