@@ -106,7 +106,7 @@ struct frame_rules {
 
 struct frame_decoder {
     struct frame_rules rules;
-    enum err error;  /* sticky */
+    enum err error; /* sticky */
     unsigned char head[FRAME_HEADER_BYTES];
     struct frame_header header;
     unsigned char *meta, *body; /* owned */

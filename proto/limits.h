@@ -13,18 +13,18 @@ enum {
     LIMIT_EARLY_BYTES = 64 * 1024, /* received or held on a connection before its Hello */
     LIMIT_HANDSHAKE_MS = 5000,     /* from connect to Welcome or accepted Hello */
 
-    LIMIT_THREADS = 4096,          /* a worker may say it has */
+    LIMIT_THREADS = 4096, /* a worker may say it has */
     LIMIT_TAGS = 8,
-    LIMIT_HELD = 2,                /* leases a worker holds beyond its threads */
+    LIMIT_HELD = 2,                 /* leases a worker holds beyond its threads */
     LIMIT_HEARTBEAT_MS = 60 * 1000, /* longest interval a Welcome may ask for */
-    LIMIT_MISSED_HEARTBEATS = 3,   /* silence, in intervals, after which a peer is lost */
+    LIMIT_MISSED_HEARTBEATS = 3,    /* silence, in intervals, after which a peer is lost */
 
-    LIMIT_UNIT_PIXELS = 1 << 24,   /* of one unit: 192 MiB as float RGB */
+    LIMIT_UNIT_PIXELS = 1 << 24, /* of one unit: 192 MiB as float RGB */
     LIMIT_UNIT_RAW_BYTES = LIMIT_UNIT_PIXELS * 3 * 4,
 
-    LIMIT_ZSTD_WINDOW_LOG = 20,    /* of any zstd frame on the wire */
+    LIMIT_ZSTD_WINDOW_LOG = 20, /* of any zstd frame on the wire */
 
-    LIMIT_TURN_FRAMES = 64,        /* handled per connection before others have their turn */
+    LIMIT_TURN_FRAMES = 64, /* handled per connection before others have their turn */
     LIMIT_TURN_BYTES = 1024 * 1024,
 };
 

@@ -86,13 +86,13 @@ struct conn_handlers {
 };
 
 struct conn_options {
-    int peer_side;             /* enum frame_side: FRAME_SIDE_WORKER on a master */
+    int peer_side; /* enum frame_side: FRAME_SIDE_WORKER on a master */
     struct conn_handlers handlers;
-    void *ctx;                 /* of the handlers, until conn_set_ctx changes it */
-    uint32_t handshake_ms;     /* 0: LIMIT_HANDSHAKE_MS */
-    uint32_t silence_ms;       /* 0: silence is never fatal; conn_set_silence changes it */
-    size_t queue_bytes_max;    /* to be sent; 0: 1 MiB. One frame more than it fits is still taken
-                                * when the queue is empty, so that any one frame can be sent. */
+    void *ctx;              /* of the handlers, until conn_set_ctx changes it */
+    uint32_t handshake_ms;  /* 0: LIMIT_HANDSHAKE_MS */
+    uint32_t silence_ms;    /* 0: silence is never fatal; conn_set_silence changes it */
+    size_t queue_bytes_max; /* to be sent; 0: 1 MiB. One frame more than it fits is still taken
+                             * when the queue is empty, so that any one frame can be sent. */
 };
 
 /* Starts to resolve and connect to "HOST:PORT" ("[v6]:PORT"), every address in turn. ERR_USAGE: not

@@ -31,10 +31,10 @@ struct worker_job {
     struct job_blocks blocks;
     enum worker_job_state state;
     struct loaded_scene loaded; /* READY */
-    uint32_t users; /* leases that refer to it: it stays while there are any */
-    bool ended;     /* the master said so */
-    bool gone;      /* of another farm or replaced: no longer found, freed with its last user */
-    uint64_t used;  /* grows with each use */
+    uint32_t users;             /* leases that refer to it: it stays while there are any */
+    bool ended;                 /* the master said so */
+    bool gone;     /* of another farm or replaced: no longer found, freed with its last user */
+    uint64_t used; /* grows with each use */
     TAILQ_ENTRY(worker_job) in_jobs;
 };
 

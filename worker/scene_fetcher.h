@@ -41,15 +41,15 @@ struct scene_fetcher_handlers {
 
 /* Borrows pool and cache. ERR_NOMEM. */
 TL_NODISCARD enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
-                                       const struct scene_fetcher_handlers *handlers, void *ctx,
-                                       struct scene_fetcher **out);
+                                        const struct scene_fetcher_handlers *handlers, void *ctx,
+                                        struct scene_fetcher **out);
 
 /* After pool_close: none of its tasks is left. */
 void scene_fetcher_free(struct scene_fetcher *l);
 
 /* Queues a load; copies package and spec. A job is loaded at most once at a time (asserted). */
 TL_NODISCARD enum err scene_fetcher_start(struct scene_fetcher *l, uint64_t job,
-                                         const digest *package, const struct job_spec *spec);
+                                          const digest *package, const struct job_spec *spec);
 void scene_fetcher_cancel(struct scene_fetcher *l, uint64_t job);
 
 /* The connection is up: asks (again) for what is missing. Down: forgets what was asked. */
@@ -58,11 +58,11 @@ void scene_fetcher_disconnected(struct scene_fetcher *l);
 
 /* For the body of a ChunkData: ERR_OK if it was asked for and the sizes can be true. */
 TL_NODISCARD enum err scene_fetcher_wants(const struct scene_fetcher *l, const digest *chunk,
-                                         uint64_t raw_bytes, uint64_t body_bytes);
+                                          uint64_t raw_bytes, uint64_t body_bytes);
 
 /* Takes `body` (mem_free). */
 void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned char *body,
-                        size_t body_bytes);
+                         size_t body_bytes);
 void scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk);
 
 #endif
