@@ -208,7 +208,7 @@ int command_explain(struct cli *cli)
     struct load load;
     struct facts facts = {0};
     struct buf out;
-    load_scene(&load, &cli->line, false);
+    load_scene(&load, &cli->line, true);
     int status = load_explain(&load, NULL);
     if (status == EXIT_DONE) {
         buf_init(&out);

@@ -179,7 +179,9 @@ static int submit(struct render *r)
         return status;
     struct farm_job_request request = {
         .name = "render", .package = &r->load.package, .spec_json = r->load.spec_json};
-    return farm_submit(&r->api, &request, r->job);
+    status = farm_submit(&r->api, &request, r->job);
+    load_drop_package(&r->load);
+    return status;
 }
 
 /* --- Waiting ------------------------------------------------------------ */

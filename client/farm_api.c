@@ -6,6 +6,7 @@
 
 #include "client/cli_settings.h"
 #include "client/out_file.h"
+#include "client/signals.h"
 #include "common/json_put.h"
 #include "common/mem.h"
 
@@ -105,7 +106,9 @@ int farm_open(struct farm *f, const struct cli *cli)
     }
     diag_release(&problems);
     const char *url = cli_text(&cli->line, CLI_MASTER);
-    e = http_client_new(&(struct http_client_options){.base_url = url, .token = token}, &f->http);
+    struct http_client_options options = {
+        .base_url = url, .token = token, .interrupted = &signals_interrupts};
+    e = http_client_new(&options, &f->http);
     if (token)
         explicit_bzero(token, strlen(token));
     mem_free(token);

@@ -90,7 +90,14 @@ static void make_package(struct load *load)
     load->has_package = true;
 }
 
-void load_scene(struct load *load, const struct cli_line *line, bool scene_only)
+static void drop_scene(struct load *load)
+{
+    if (load->has_scene)
+        scene_release(&load->scene);
+    load->has_scene = false;
+}
+
+void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
 {
     const char *path = line->arguments[0];
     *load = (struct load){0};
@@ -108,16 +115,23 @@ void load_scene(struct load *load, const struct cli_line *line, bool scene_only)
         load->status = EXIT_USAGE;
     else
         check_light(load, path, line);
-    if (load->status == EXIT_DONE && !scene_only)
+    if (load->status == EXIT_DONE)
         make_package(load);
+    if (!keep_scene)
+        drop_scene(load);
+}
+
+void load_drop_package(struct load *load)
+{
+    if (load->has_package)
+        package_release(&load->package);
+    load->has_package = false;
 }
 
 void load_release(struct load *load)
 {
-    if (load->has_scene)
-        scene_release(&load->scene);
-    if (load->has_package)
-        package_release(&load->package);
+    drop_scene(load);
+    load_drop_package(load);
     mem_free(load->spec_json);
     diag_release(&load->problems);
     *load = (struct load){0};

@@ -21,9 +21,12 @@ struct load {
     int status;       /* exit status: 0, 2 (options do not fit), 3 (bad scene), 5 */
 };
 
-/* Reads, applies the options, checks, and, unless `scene_only`, makes the package. The result is
- * in load->status and load->problems. */
-void load_scene(struct load *load, const struct cli_line *line, bool scene_only);
+/* Reads, applies the options, checks, and makes the package; the scene itself is dropped then
+ * unless `keep_scene`. The result is in load->status and load->problems. */
+void load_scene(struct load *load, const struct cli_line *line, bool keep_scene);
+
+/* Frees the package once it has been sent: a render goes on for hours beside it. */
+void load_drop_package(struct load *load);
 void load_release(struct load *load);
 
 /* Prints what load found, with `tail` (may be NULL) after the count; its exit status. */

@@ -2,7 +2,9 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
@@ -11,11 +13,22 @@
 #include "common/file_io.h"
 #include "common/mem.h"
 
+/* A short name of its own, since the place's may be as long as names can be. */
 static char *aside_name(const char *path)
 {
+    static unsigned count;
     const char *slash = strrchr(path, '/');
     int folder_bytes = slash ? (int)(slash + 1 - path) : 0;
-    return mem_sprintf("%.*s.%s.%ld.part", folder_bytes, path, path + folder_bytes, (long)getpid());
+    return mem_sprintf("%.*s.tilery-%ld-%u.part", folder_bytes, path, (long)getpid(), count++);
+}
+
+/* Where a link leads, so that the file behind it is replaced and not the link. */
+static char *place_of(const char *path)
+{
+    char resolved[PATH_MAX];
+    struct stat found;
+    bool link = lstat(path, &found) == 0 && S_ISLNK(found.st_mode);
+    return mem_strdup(link && realpath(path, resolved) ? resolved : path);
 }
 
 static enum err free_space_check(const char *path, uint64_t bytes_needed)
@@ -59,7 +72,8 @@ uint64_t out_file_free_bytes(const char *path)
 enum err out_file_begin(struct out_file *f, const char *path)
 {
     *f = (struct out_file){.fd = -1};
-    struct out_file made = {.path = mem_strdup(path), .aside = aside_name(path)};
+    struct out_file made = {.path = place_of(path)};
+    made.aside = made.path ? aside_name(made.path) : NULL;
     if (!made.path || !made.aside) {
         mem_free(made.path);
         mem_free(made.aside);

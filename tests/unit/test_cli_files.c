@@ -89,6 +89,33 @@ static void test_abort(void **state)
     assert_int_equal(entries(), 1);
 }
 
+/* The file behind a link is replaced, not the link; the longest names work. */
+static void test_links_and_long_names(void **state)
+{
+    char link[100];
+    struct stat found;
+    (void)state;
+    (void)snprintf(link, sizeof link, "%s/link.exr", folder);
+    write_file("one");
+    assert_int_equal(symlink(path, link), 0);
+    struct out_file f;
+    assert_int_equal(out_file_begin(&f, link), ERR_OK);
+    assert_int_equal(write(f.fd, "two", 3), 3);
+    assert_int_equal(out_file_commit(&f), ERR_OK);
+    content_is("two");
+    assert_int_equal(lstat(link, &found), 0);
+    assert_true(S_ISLNK(found.st_mode));
+    assert_int_equal(unlink(link), 0);
+
+    char name[256], longest[400];
+    memset(name, 'n', 251);
+    (void)snprintf(name + 251, sizeof name - 251, ".exr");
+    (void)snprintf(longest, sizeof longest, "%s/%s", folder, name);
+    assert_int_equal(out_file_begin(&f, longest), ERR_OK);
+    assert_int_equal(out_file_commit(&f), ERR_OK);
+    assert_int_equal(unlink(longest), 0);
+}
+
 static void test_check(void **state)
 {
     (void)state;
@@ -109,6 +136,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(test_commit, make_folder, remove_folder),
         cmocka_unit_test_setup_teardown(test_abort, make_folder, remove_folder),
+        cmocka_unit_test_setup_teardown(test_links_and_long_names, make_folder, remove_folder),
         cmocka_unit_test_setup_teardown(test_check, make_folder, remove_folder),
     };
     return cmocka_run_group_tests_name("cli_files", tests, NULL, NULL);
