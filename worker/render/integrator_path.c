@@ -5,6 +5,23 @@
 #include "worker/render/warp.h"
 #include "worker/render/wave.h"
 
+/* The numbers of a vertex that choose, made when the first is asked for. */
+struct choices {
+    uint32_t set;
+    bool made;
+    double u[SAMPLER_SET_VALUES];
+};
+
+enum choice { CHOICE_LOBE, CHOICE_ROULETTE, CHOICE_LIGHT };
+
+static double choose(struct choices *c, const struct path *path, enum choice which)
+{
+    if (!c->made)
+        sampler_set(&path->sampler, c->set, c->u);
+    c->made = true;
+    return c->u[which];
+}
+
 /* Weight of a technique with density a beside one with density b; the larger divides, so that
  * nothing overflows. */
 static double power_heuristic(double a, double b)
@@ -62,12 +79,14 @@ static void add_emission(const struct render_scene *scene, struct path *path,
 
 /* Next-event estimation: a shadow ray to a point drawn on a light. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
-                           uint32_t index, const struct shade *at, double choose)
+                           uint32_t index, const struct shade *at, struct choices *choices)
 {
     struct light_sample light;
     const struct surface *s = &at->surface;
-    const double *u = w->paths[index].light_u;
-    if (!light_sample(&scene->lights, s->p, choose, u[0], u[1], &light))
+    const struct path *path = &w->paths[index];
+    const double *u = path->light_u;
+    double which = scene->lights.count > 1 ? choose(choices, path, CHOICE_LIGHT) : 0;
+    if (!light_sample(&scene->lights, s->p, which, u[0], u[1], &light))
         return;
     vec3 wi = frame_to_local(&at->frame, light.wi);
     if (!shade_is_consistent(at, light.wi, wi.z))
@@ -79,21 +98,21 @@ static void connect_lights(const struct render_scene *scene, struct render_scrat
     double weight = 1 / light.pdf;
     if (!light.delta && scene->spec.profile == JOB_PROFILE_MIS)
         weight *= power_heuristic(light.pdf, pdf);
-    rgb arriving = rgb_scale(rgb_mul(rgb_mul(f, light.radiance), w->paths[index].beta), weight);
+    rgb arriving = rgb_scale(rgb_mul(rgb_mul(f, light.radiance), path->beta), weight);
     vec3 org = surface_offset(s->p, s->ng, s->error, light.wi);
     wave_shadow(w, index, org, light.target, light.distant, light.wi, arriving);
 }
 
 /* Below the threshold a path survives in proportion to what it carries, and then carries the
  * threshold again. */
-static bool survives(const struct render_scene *scene, struct path *path, double u)
+static bool survives(const struct render_scene *scene, struct path *path, struct choices *choices)
 {
     double carried = rgb_max(path->beta) * path->eta2 * path->carried;
     double threshold = scene->spec.rr_threshold;
     if (!(carried < threshold))
         return true;
     double probability = carried / threshold;
-    if (!(u < probability))
+    if (!(choose(choices, path, CHOICE_ROULETTE) < probability))
         return false;
     path->beta = rgb_scale(path->beta, 1 / probability);
     return true;
@@ -111,10 +130,10 @@ static bool last_edge_counts(const struct render_scene *scene, bool delta)
 
 /* Draws where the path goes on; false if it ends. */
 static bool scatter(const struct render_scene *scene, struct path *path, const struct shade *at,
-                    const double direction[2], const double choice[SAMPLER_SET_VALUES], bool shares,
-                    vec3 *wi)
+                    const double direction[2], struct choices *choices, bool shares, vec3 *wi)
 {
-    const double u[3] = {direction[0], direction[1], choice[0]};
+    double lobe = at->bsdf.material->one_lobe ? 0 : choose(choices, path, CHOICE_LOBE);
+    const double u[3] = {direction[0], direction[1], lobe};
     struct bsdf_sample sample;
     if (!bsdf_sample(&at->bsdf, at->wo, u, &sample))
         return false;
@@ -129,7 +148,7 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     path->pdf = delta ? 0 : sample.pdf;
     path->org = at->surface.p;
     /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
-    return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choice[1]));
+    return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices));
 }
 
 /* One vertex of one path: emission, light sampling, next direction. True if it goes on. */
@@ -155,11 +174,11 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     if (depth >= depth_max || m->type == SCENE_MATERIAL_BLACK)
         return false;
     uint32_t set = (depth - 1) * WAVE_SETS_PER_VERTEX;
-    double u[SAMPLER_SET_VALUES], choice[SAMPLER_SET_VALUES];
+    double u[SAMPLER_SET_VALUES];
+    struct choices choices = {.set = WAVE_SET_CHOICE + set};
     sampler_set(&path->sampler, WAVE_SET_VERTEX + set, u);
-    sampler_set(&path->sampler, WAVE_SET_CHOICE + set, choice);
     if (!m->is_delta && scene->spec.profile != JOB_PROFILE_RW)
-        connect_lights(scene, w, index, &at, choice[2]);
+        connect_lights(scene, w, index, &at, &choices);
     if (depth + 1 == depth_max && !last_edge_counts(scene, m->is_delta))
         return false;
     path->light_u[0] = u[2];
@@ -170,7 +189,7 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
         reuse_leave(w, index, &at, depth);
         shares = true;
     }
-    if (!scatter(scene, path, &at, u, choice, shares, &wi))
+    if (!scatter(scene, path, &at, u, &choices, shares, &wi))
         return false;
     const struct surface *s = &at.surface;
     wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);

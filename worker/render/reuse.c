@@ -8,6 +8,9 @@ static const double SIMILAR_COSINE = 0.5;
 /* Roulette behind a y that is shared looks at no less than this: others may want it more. */
 static const double CARRIED_MIN = 0.05;
 
+/* A part of the mean radiance of a group's y below which they play roulette. */
+static const double WORTH_SHARING = 0.5;
+
 bool reuse_wanted(const struct render_scene *scene)
 {
     const struct job_spec *spec = &scene->spec;
@@ -112,11 +115,37 @@ static void connect(struct reuse_connections *c, const struct reuse *reuse, uint
     ray->tmax = 1;
 }
 
+/* Roulette among the y of a group: one that sends out less than its part of the mean is not worth
+ * the shadow rays to it, and makes up for that when it stays. */
+static void thin_out(struct render_scratch *w, uint32_t begin, uint32_t end)
+{
+    double sum = 0;
+    uint32_t count = 0;
+    for (uint32_t i = begin; i < end; i++) {
+        if (w->reuse[i].state != REUSE_FOUND)
+            continue;
+        sum += rgb_luminance(w->paths[i].radiance);
+        count++;
+    }
+    double threshold = WORTH_SHARING * sum / (count > 0 ? count : 1);
+    for (uint32_t i = begin; i < end; i++) {
+        struct path *path = &w->paths[i];
+        double luminance = rgb_luminance(path->radiance);
+        if (w->reuse[i].state != REUSE_FOUND || !(luminance < threshold))
+            continue;
+        double u[SAMPLER_SET_VALUES], stays = luminance / threshold;
+        sampler_set(&path->sampler, WAVE_SET_SHARE, u);
+        path->radiance = u[0] < stays ? rgb_scale(path->radiance, 1 / stays) : rgb_grey(0);
+    }
+}
+
 /* All connections between the paths of a group. */
 static void connect_group(struct render_scratch *w, uint32_t begin, uint32_t end)
 {
     uint32_t cluster[WAVE_GROUP_PATHS];
     make_clusters(w->reuse + begin, end - begin, cluster);
+    if (end - begin > 1)
+        thin_out(w, begin, end);
     for (uint32_t to = begin; to < end; to++) {
         if (w->reuse[to].state != REUSE_FOUND || rgb_is_black(w->paths[to].radiance))
             continue;

@@ -71,7 +71,8 @@ enum {
     WAVE_SET_VERTEX = 2, /* of vertex 0: bsdf u, v; light u, v at vertex 1 */
     WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light */
     WAVE_SETS_PER_VERTEX = 2,
-    WAVE_SET_PASS = 1 << 30, /* opacity of the first surface gone through, and so on */
+    WAVE_SET_SHARE = 1 << 29, /* roulette of reuse */
+    WAVE_SET_PASS = 1 << 30,  /* opacity of the first surface gone through, and so on */
 };
 
 /* A ray that has gone through this many surfaces is held by the next. */

@@ -111,6 +111,9 @@ static void make_material(const struct scene *scene, const struct scene_material
     out->is_delta = from->type == SCENE_MATERIAL_MIRROR ||
                     from->type == SCENE_MATERIAL_REFRACTION || from->type == SCENE_MATERIAL_GLASS ||
                     from->type == SCENE_MATERIAL_BLACK;
+    out->one_lobe = out->type != SCENE_MATERIAL_GLASS &&
+                    out->type != SCENE_MATERIAL_ROUGH_DIELECTRIC &&
+                    out->type != SCENE_MATERIAL_PRINCIPLED;
     out->is_anisotropic = from->alpha_x != from->alpha_y;
     out->needs_uv = out->texture != SCENE_NONE || out->is_anisotropic ||
                     out->metallic_roughness_texture != SCENE_NONE ||
