@@ -1,0 +1,1 @@
+tilery_fuzzer(fuzz_sse LINKS tl_client SOURCES ${PROJECT_SOURCE_DIR}/tests/fuzz/fuzz_sse.c)
