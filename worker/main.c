@@ -254,9 +254,13 @@ static const char *cpu_name(void)
                                              : "sse2";
 }
 
+/* Nothing is left to deliver. A scene that is still being built can neither be stopped nor be worth
+ * waiting for; files are whole at any moment. */
 static void on_session_closed(void *ctx)
 {
     struct program *p = ctx;
+    if (pool_serving(p->pool))
+        _exit(p->exit_status);
     pool_close(p->pool, NULL, NULL);
 }
 

@@ -33,7 +33,7 @@ struct pool {
     struct task_queue queues[POOL_KIND_COUNT], finished;
     struct spread *spread; /* NULL: none, or all its indices are taken */
     bool stopping;
-    atomic_uint busy;
+    atomic_uint busy[POOL_KIND_COUNT];
     uv_async_t wake;
     void (*closed)(void *ctx);
     void *closed_ctx;
@@ -83,11 +83,9 @@ static void run_task(struct thread *t, struct pool_task *task)
     TAILQ_REMOVE(&p->queues[t->kind], task, in_queue);
     task->state = POOL_RUNNING;
     unlock(p);
-    if (t->kind == POOL_RENDER)
-        atomic_fetch_add(&p->busy, 1);
+    atomic_fetch_add(&p->busy[t->kind], 1);
     task->run(task, t->number);
-    if (t->kind == POOL_RENDER)
-        atomic_fetch_sub(&p->busy, 1);
+    atomic_fetch_sub(&p->busy[t->kind], 1);
     lock(p);
     task->state = POOL_DONE;
     TAILQ_INSERT_TAIL(&p->finished, task, in_queue);
@@ -184,7 +182,12 @@ uint32_t pool_thread_count(const struct pool *p)
 
 uint32_t pool_busy(const struct pool *p)
 {
-    return atomic_load(&p->busy);
+    return atomic_load(&p->busy[POOL_RENDER]);
+}
+
+bool pool_serving(const struct pool *p)
+{
+    return atomic_load(&p->busy[POOL_SERVICE]) > 0;
 }
 
 /* --- Life ----------------------------------------------------------------------- */

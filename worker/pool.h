@@ -53,6 +53,9 @@ uint32_t pool_thread_count(const struct pool *p);
 /* Render threads that are inside a task now. */
 uint32_t pool_busy(const struct pool *p);
 
+/* The service thread is inside a task: pool_close would wait for it, perhaps for a whole build. */
+bool pool_serving(const struct pool *p);
+
 /* Calls fn(arg, i) for all i < count, on the calling thread and on render threads that are free,
  * and returns when all are done: an accel_runner whose ctx is the pool. */
 void pool_run(void *pool, size_t count, void (*fn)(void *arg, size_t index), void *arg);
