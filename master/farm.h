@@ -71,8 +71,10 @@ struct job {
     uint64_t settled;       /* up to here the store has answered */
     uint32_t in_store;      /* results handed over and not yet answered */
     uint64_t journal_bytes; /* since the last checkpoint */
-    bool checkpointing, finishing, record_dirty, record_storing;
-    bool final_stored; /* ended and its film is checkpointed */
+    bool checkpointing, finishing, loading, estimating, record_dirty;
+    int64_t estimated_ms, estimate_took_ms; /* of the error so far: when last, and how long */
+    uint64_t estimated_count;               /* cell-blocks that were in it */
+    bool final_stored;                      /* ended and its film is checkpointed */
 
     /* For the report. */
     int64_t ready_us, last_result_us;
@@ -256,6 +258,13 @@ const char *jobs_note(const struct farm *f, const struct job *job);
 
 TL_NODISCARD enum err job_need_grid(struct job *job);
 TL_NODISCARD enum err job_need_film(struct job *job); /* an empty one if there is none */
+
+/* Reads the film of an ended job back on the pool, so that it can go on; job->loading meanwhile.
+ * A checkpoint that cannot be read fails the job. */
+TL_NODISCARD enum err job_fetch_film(struct farm *f, struct job *job);
+
+/* Works out the error so far on the pool, now and then: never more than a share of the time. */
+void job_estimate(struct farm *f, struct job *job);
 
 /* Replays checkpoint and journal; before the store's thread starts. */
 TL_NODISCARD enum err job_load_film(struct farm *f, struct job *job);

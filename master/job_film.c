@@ -123,6 +123,137 @@ void job_checkpoint(struct farm *f, struct job *job)
     job->checkpointing = true;
 }
 
+/* --- Reading back -------------------------------------------------------- */
+
+struct fetch {
+    uv_work_t request;
+    struct farm *farm;
+    uint64_t job;
+    const struct grid *grid; /* the job's */
+    struct job_blocks blocks;
+    char *path; /* owned */
+    struct film *film;
+    enum err result;
+};
+
+static void fetch_run(uv_work_t *request)
+{
+    struct fetch *w = request->data;
+    struct checkpoint at;
+    w->result = checkpoint_read(w->path, w->job, w->grid, &w->blocks, &at, &w->film);
+}
+
+static void fetch_after(uv_work_t *request, int status)
+{
+    struct fetch *w = request->data;
+    struct farm *f = w->farm;
+    struct job *job = farm_job(f, w->job);
+    TL_ASSERT(job && job->loading && !job->film);
+    job->loading = false;
+    job->film_users--;
+    enum err e = status == 0 ? w->result : ERR_CANCELLED;
+    if (e == ERR_OK)
+        job->film = w->film;
+    else if (!f->stopping)
+        jobs_fail(f, job, e == ERR_NOMEM ? "out of memory" : "its checkpoint cannot be read");
+    f->admit_due = true;
+    mem_free(w->path);
+    mem_free(w);
+}
+
+enum err job_fetch_film(struct farm *f, struct job *job)
+{
+    TL_ASSERT(!job->film && job->has_stored);
+    if (job->loading)
+        return ERR_OK;
+    TL_TRY(job_need_grid(job));
+    struct fetch *w = mem_calloc(1, sizeof *w);
+    if (!w)
+        return ERR_NOMEM;
+    *w = (struct fetch){.farm = f,
+                        .job = job->rec.id,
+                        .grid = &job->grid,
+                        .blocks = job->blocks,
+                        .path = store_film_path(f->store, job->rec.id)};
+    w->request.data = w;
+    if (!w->path || uv_queue_work(f->loop, &w->request, fetch_run, fetch_after) != 0) {
+        mem_free(w->path);
+        mem_free(w);
+        return ERR_NOMEM;
+    }
+    job->loading = true;
+    job->film_users++;
+    return ERR_OK;
+}
+
+/* --- The error so far ----------------------------------------------------- */
+
+struct estimate {
+    uv_work_t request;
+    struct farm *farm;
+    uint64_t job;
+    const struct film *film;
+    struct film_error error;
+    uint64_t took_ns;
+};
+
+static void estimate_run(uv_work_t *request)
+{
+    struct estimate *w = request->data;
+    uint64_t begin = uv_hrtime();
+    film_error_estimate(w->film, &w->error);
+    w->took_ns = uv_hrtime() - begin;
+}
+
+static void put_error(struct job_stats *s, const struct film_error *e)
+{
+    s->error_known = e->known;
+    s->relmse = e->relmse;
+    s->relmse_low = e->relmse_low;
+    s->relmse_high = e->relmse_high;
+    s->mean_low = e->mean_low;
+    s->mean_high = e->mean_high;
+}
+
+static void estimate_after(uv_work_t *request, int status)
+{
+    struct estimate *w = request->data;
+    struct job *job = farm_job(w->farm, w->job);
+    TL_ASSERT(job && job->estimating);
+    job->estimating = false;
+    film_let_go(w->farm, job);
+    if (status == 0 && job->rec.state != JOB_STATE_DONE)
+        put_error(&job->rec.stats, &w->error);
+    job->estimated_ms = farm_now_ms(w->farm);
+    job->estimate_took_ms = (int64_t)(w->took_ns / 1000000);
+    if (!w->farm->stopping)
+        job_film_changed(w->farm, job);
+    mem_free(w);
+}
+
+void job_estimate(struct farm *f, struct job *job)
+{
+    enum { REST_MS = 2000, REST_FACTOR = 500 };
+    int64_t rest_ms = REST_MS + REST_FACTOR * job->estimate_took_ms;
+    if (!job->film || job->estimating || job->finishing || job->checkpointing ||
+        job->estimated_count == film_present_count(job->film) ||
+        farm_now_ms(f) - job->estimated_ms < rest_ms)
+        return;
+    struct estimate *w = mem_calloc(1, sizeof *w);
+    if (!w)
+        return;
+    *w = (struct estimate){.farm = f, .job = job->rec.id, .film = job->film};
+    w->request.data = w;
+    film_hold(job);
+    job->estimating = true;
+    job->estimated_count = film_present_count(job->film);
+    if (uv_queue_work(f->loop, &w->request, estimate_run, estimate_after) != 0) {
+        job->estimating = false;
+        film_let_go(f, job);
+        mem_free(w);
+    }
+}
+
 /* --- Finishing ---------------------------------------------------------- */
 
 struct finish {
@@ -161,12 +292,7 @@ static void fill_stats(struct job *job, const struct finish *w)
     s->spp_min = w->spp_min;
     s->spp_mean = w->spp_mean;
     s->spp_max = w->spp_max;
-    s->error_known = w->error.known;
-    s->relmse = w->error.relmse;
-    s->relmse_low = w->error.relmse_low;
-    s->relmse_high = w->error.relmse_high;
-    s->mean_low = w->error.mean_low;
-    s->mean_high = w->error.mean_high;
+    put_error(s, &w->error);
     int64_t begin = job->rec.started_us, ready = job->ready_us ? job->ready_us : begin;
     int64_t last = job->last_result_us ? job->last_result_us : job->rec.finished_us;
     s->total_s = (double)(job->rec.finished_us - begin) / 1e6;
@@ -357,6 +483,8 @@ static void picture_after(uv_work_t *request, int status)
     else
         job->film_users--;
     w->done(w->ctx, status == 0 ? w->result : ERR_CANCELLED, &w->file);
+    if (!w->farm->stopping)
+        job_film_changed(w->farm, job); /* the last unit may have come meanwhile */
     buf_release(&w->file);
     mem_free(w->path);
     mem_free(w);

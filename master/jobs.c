@@ -412,7 +412,7 @@ void jobs_admit(struct farm *f)
     f->admit_due = false;
     for (size_t i = 0; i < f->job_count && f->sched_jobs < JOBS_IN_SCHED_MAX; i++) {
         struct job *job = f->jobs[i];
-        if (job->in_sched || job->in_store > 0 || job->finishing ||
+        if (job->in_sched || job->in_store > 0 || job->finishing || job->loading ||
             (job->rec.state != JOB_STATE_QUEUED && job->rec.state != JOB_STATE_RENDERING))
             continue;
         if (job->film && film_complete(job->film)) {
@@ -531,9 +531,8 @@ static enum err ask_queue(struct farm *f, struct job *job)
     if (job->rec.state == JOB_STATE_DONE || job->rec.state == JOB_STATE_QUEUED ||
         job->rec.state == JOB_STATE_RENDERING)
         return ERR_STATE;
-    /* A failed or cancelled job whose film left memory is read back at the next start only. */
     if (job->has_stored && !job->film)
-        return ERR_STATE;
+        TL_TRY(job_fetch_film(f, job)); /* it had left memory */
     job->rec.state = JOB_STATE_QUEUED;
     job->rec.note[0] = '\0';
     job->rec.finished_us = 0;
@@ -693,7 +692,7 @@ static bool expire(struct farm *f, size_t index)
     int64_t age_us = farm_wall_us() - job->rec.finished_us;
     if (f->retention_s == 0 || !job_state_ended(job->rec.state) ||
         age_us < (int64_t)f->retention_s * 1000000 || job->film_users > 0 || job->in_store > 0 ||
-        job->finishing || job->checkpointing)
+        job->finishing || job->checkpointing || job->loading)
         return false;
     /* The highest id ever given is kept, so that none is given twice. */
     uint64_t next = f->job_next;
@@ -716,6 +715,8 @@ void jobs_tick(struct farm *f)
             jobs_store_record(f, job);
         if (job->news_due && farm_now_ms(f) - job->news_at_ms >= NEWS_MS)
             put_news(f, job);
+        if (job->rec.state == JOB_STATE_RENDERING)
+            job_estimate(f, job);
         (void)expire(f, i);
     }
     job_films_evict(f);

@@ -8,6 +8,7 @@ enum {
     COPIES_LOOKED_AT = 16, /* oldest leases among which the slowest is copied */
     TRIES_COPY = 4,        /* idle workers that are tried for a copy per event */
     TRIES = 64,            /* workers for which no job may have work per event */
+    CHECK_TAKEN_MS = 1000, /* a worker keeps a check for at least so long */
     LOAD_GUESS_MS = 10000, /* a scene that must be loaded first delays a copy by so much */
 };
 
@@ -83,21 +84,12 @@ static bool unit_carve(const struct sched *s, struct worker *w, const struct wor
 
 /* --- What a job has for a worker ------------------------------------------- */
 
-static bool voted(const struct check *c, uint64_t worker)
-{
-    for (uint32_t i = 0; i < c->vote_count; i++) {
-        if (c->votes[i].worker == worker)
-            return true;
-    }
-    return false;
-}
-
 /* A pending check for which this worker has not voted, or SLOT_NONE. */
 static uint32_t check_for(const struct sched *s, const struct job *j, const struct worker *w)
 {
     uint32_t c = j->checks.head;
     for (int i = 0; i < CHECKS_LOOKED_AT && c != SLOT_NONE; i++) {
-        if (!voted(&s->checks[c], w->handle))
+        if (!check_voted(&s->checks[c], w->handle))
             return c;
         c = s->check_pool.links[c].next;
     }
@@ -316,6 +308,24 @@ static uint32_t copy_candidate(struct sched *s, uint32_t worker, const struct jo
     return best;
 }
 
+/* A check that another worker has for too long, taken from it: its vote would still count. */
+static uint32_t check_to_take(struct sched *s, uint32_t worker, const struct job *j)
+{
+    struct worker *w = &s->workers[worker];
+    uint32_t c = j->checks_out.head;
+    for (int i = 0; i < CHECKS_LOOKED_AT && c != SLOT_NONE; i++, c = s->check_pool.links[c].next) {
+        const struct check *check = &s->checks[c];
+        if (check_voted(check, w->handle) || s->leases[check->lease].worker == worker)
+            continue;
+        const struct lease *l = &s->leases[check->lease];
+        uint64_t held_ms = s->now_ms - l->leased_ms;
+        if (held_ms >= CHECK_TAKEN_MS && held_ms / 2 >= l->expected_ms &&
+            lease_left_ms(s, l) > unit_expected_ms(s, w, j, check->unit))
+            return c;
+    }
+    return SLOT_NONE;
+}
+
 static uint32_t lease_copy(struct sched *s, uint32_t worker)
 {
     struct worker *w = &s->workers[worker];
@@ -324,9 +334,14 @@ static uint32_t lease_copy(struct sched *s, uint32_t worker)
         struct job *j = &s->jobs[job];
         if (j->state != SCHED_ACTIVE || worker_barred(s, w, j->id))
             continue;
-        uint32_t of = copy_candidate(s, worker, j);
-        if (of == SLOT_NONE || !worker_job_get(s, w, j->id))
+        uint32_t check = check_to_take(s, worker, j), of = copy_candidate(s, worker, j);
+        if ((check == SLOT_NONE && of == SLOT_NONE) || !worker_job_get(s, w, j->id))
             continue;
+        if (check != SLOT_NONE) {
+            s->workers[s->leases[s->checks[check].lease].worker].lost++;
+            lease_end(s, s->checks[check].lease, END_REVOKED, false);
+            return lease_check(s, worker, job, check);
+        }
         uint32_t lease = lease_new(s, worker, job, s->leases[of].unit, SCHED_KIND_COPY);
         if (lease == SLOT_NONE)
             return SLOT_NONE;

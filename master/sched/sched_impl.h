@@ -95,6 +95,7 @@ struct worker_job {
     uint64_t barred_until_ms; /* 0: not barred */
     uint64_t opened_ms;
     uint32_t leases;
+    uint32_t late;      /* leases in a row that were not answered in time */
     double speed;       /* pixel-samples per second and thread; 0: unknown */
     uint32_t target_ms; /* duration of the next unit */
     uint64_t used_ms;
@@ -303,6 +304,7 @@ void result_feed(struct sched *s, const struct sched_event *e);
 bool scan_next(struct sched *s, struct sched_action *out);
 bool mismatch_feed(struct sched *s, const struct sched_event *e);
 void check_free(struct sched *s, uint32_t check);
+bool check_voted(const struct check *c, uint64_t worker);
 void job_checks_drop(struct sched *s, uint32_t job, uint32_t cell_begin, uint32_t cell_count);
 
 static inline uint32_t job_slot(const struct sched *s, const struct job *j)

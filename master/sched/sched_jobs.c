@@ -213,11 +213,11 @@ bool jobs_close_next(struct sched *s, struct sched_action *out)
                 continue;
             bool tell = wj->open && w->connected;
             TL_ASSERT(wj->leases == 0);
-            if (j->removed || tell) {
+            wj->open = wj->ready = false; /* its speed is worth keeping */
+            if (j->removed)
                 *wj = (struct worker_job){0};
-                worker_timer_set(s, slot);
-                worker_place(s, slot);
-            }
+            worker_timer_set(s, slot);
+            worker_place(s, slot);
             if (tell) {
                 *out = (struct sched_action){
                     .type = SCHED_CLOSE_JOB, .worker = w->handle, .job = j->id};

@@ -1,6 +1,8 @@
 /* The life of a lease: given, begun, ended; and who is blamed when a worker is lost. */
 #include "master/sched/sched_impl.h"
 
+enum { PATIENCE_DOUBLINGS_MAX = 8, LATE_DOUBLINGS_MAX = 3 };
+
 static struct chain *lease_job_chain(struct job *j, const struct lease *l)
 {
     return l->solo ? &j->solo : &j->others;
@@ -338,10 +340,12 @@ void lease_begin(struct sched *s, uint32_t lease)
         if (ms < s->limits.lease_ms_min)
             ms = s->limits.lease_ms_min;
     }
-    if (l->suspect != SLOT_NONE) {
-        uint32_t losses = s->suspects[l->suspect].losses;
-        ms <<= losses < 8 ? losses : 8;
-    }
+    /* More patience with a unit that was late before, and with a worker that was. */
+    const struct worker_job *wj = worker_job_find(w, s->jobs[l->job].id);
+    uint32_t doublings = wj->late < LATE_DOUBLINGS_MAX ? wj->late : LATE_DOUBLINGS_MAX;
+    if (l->suspect != SLOT_NONE)
+        doublings += s->suspects[l->suspect].losses;
+    ms <<= doublings < PATIENCE_DOUBLINGS_MAX ? doublings : PATIENCE_DOUBLINGS_MAX;
     timers_set(&s->timers, lease, s->now_ms + ms);
 }
 
@@ -351,6 +355,7 @@ void lease_timer_fired(struct sched *s, uint32_t lease)
     struct worker *w = &s->workers[worker];
     w->timeouts++;
     w->lost++;
+    worker_job_find(w, s->jobs[s->leases[lease].job].id)->late++;
     lease_end(s, lease, END_REVOKED, true);
     worker_fault(s, worker);
 }

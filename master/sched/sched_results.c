@@ -8,6 +8,15 @@ static const double VERIFY_SCALE = 0x1p-64;
 
 /* --- Checks ----------------------------------------------------------------- */
 
+bool check_voted(const struct check *c, uint64_t worker)
+{
+    for (uint32_t i = 0; i < c->vote_count; i++) {
+        if (c->votes[i].worker == worker)
+            return true;
+    }
+    return false;
+}
+
 void check_free(struct sched *s, uint32_t check)
 {
     struct check *c = &s->checks[check];
@@ -98,10 +107,8 @@ static void check_count_votes(struct sched *s, uint32_t check)
 static void check_vote(struct sched *s, uint32_t check, struct vote vote)
 {
     struct check *c = &s->checks[check];
-    for (uint32_t i = 0; i < c->vote_count; i++) {
-        if (c->votes[i].worker == vote.worker)
-            return;
-    }
+    if (check_voted(c, vote.worker))
+        return;
     TL_ASSERT(c->vote_count < SCHED_VOTES_MAX);
     /* Its bits came another way (a late copy): it need not render it once more. */
     if (c->lease != SLOT_NONE && s->workers[s->leases[c->lease].worker].handle == vote.worker)
@@ -176,19 +183,27 @@ static void learn_speed(struct sched *s, uint32_t worker, uint64_t job,
     wj->target_ms = target_ms < s->limits.unit_ms ? target_ms : s->limits.unit_ms;
 }
 
-/* The worker answered one of its leases. */
-static void lease_answered(struct sched *s, uint32_t worker, uint32_t lease,
-                           const struct sched_event *e)
+/* The worker answered one of its leases, or (SLOT_NONE) one that was taken from it: from that too
+ * its speed is learnt, or a slow worker would be late for ever; and it is a vote all the same. */
+static void answered(struct sched *s, uint32_t worker, uint32_t lease, uint32_t job,
+                     const struct sched_event *e)
 {
     const struct sched_result *r = &e->result;
-    uint32_t check = s->leases[lease].check;
-    worker_good(s, worker);
+    uint32_t check = SLOT_NONE;
     learn_speed(s, worker, e->job, r);
-    lease_end(s, lease, END_RESULT, false);
-    if (check != SLOT_NONE) {
-        s->scan.vote = true;
-        check_vote(s, check, (struct vote){.worker = e->worker, .digest = r->digest});
+    if (lease != SLOT_NONE) {
+        check = s->leases[lease].check;
+        worker_good(s, worker);
+        struct worker_job *wj = worker_job_find(&s->workers[worker], e->job);
+        wj->late = 0;
+        lease_end(s, lease, END_RESULT, false);
+    } else if (s->jobs[job].checks.count + s->jobs[job].checks_out.count > 0) {
+        check = check_of_unit(s, &s->jobs[job], r->unit);
     }
+    if (check == SLOT_NONE || check_voted(&s->checks[check], e->worker))
+        return;
+    s->scan.vote = true;
+    check_vote(s, check, (struct vote){.worker = e->worker, .digest = r->digest});
 }
 
 void result_feed(struct sched *s, const struct sched_event *e)
@@ -224,8 +239,8 @@ void result_feed(struct sched *s, const struct sched_event *e)
     double ratio = worker != SLOT_NONE ? worker_speed_ratio(s, &s->workers[worker], j) : 1.0;
     scan->cell_s = 1e-6 * (double)r->render_us * ratio / r->unit.cell_count;
     scan->job = job;
-    if (known)
-        lease_answered(s, worker, lease, e);
+    if (worker != SLOT_NONE)
+        answered(s, worker, lease, job, e);
 }
 
 /* Chooses units to verify by the seed and the lease's number: workers cannot foresee it. */

@@ -8,6 +8,7 @@ import os
 import random
 import socket
 import struct
+import threading
 import time
 
 import pytest
@@ -256,6 +257,52 @@ def test_nonfinite_samples_are_told(farm, job):
     report = farm.job(job)
     assert report["nonfinite_samples"] == 2
     assert report["nonfinite_first"] == {"x": 7, "y": 3, "sample": 1}
+
+
+def test_pictures_while_it_renders(farm, job):
+    """Looking on from several sides neither stalls the job nor changes it."""
+    stop, pictures = threading.Event(), []
+
+    def look():
+        while not stop.is_set():
+            status, content = farm.request("GET", f"/api/v1/jobs/{job}/picture.png?partial=1",
+                                           raw=True)
+            assert status == 200 and content.startswith(b"\x89PNG")
+            pictures.append(content)
+
+    lookers = [threading.Thread(target=look) for _ in range(4)]
+    for looker in lookers:
+        looker.start()
+    peer = Scripted(farm).welcome()
+    try:
+        render_all(farm, peer, job)
+    finally:
+        stop.set()
+        for looker in lookers:
+            looker.join()
+    assert farm.job(job)["image_sha256"] == expected_sha()
+    assert len(pictures) > 4
+
+
+def test_retry_of_a_cancelled_job_goes_on(farm, job):
+    """What was stored before the cancel is not rendered again, over a restart too."""
+    peer = Scripted(farm, instance=5).welcome()
+    peer.send("JobReady", job=1)
+    fields, body = honest(peer.lease())
+    peer.send("Result", body, **fields)
+    peer.expect("ResultAck")
+    assert farm.request("PATCH", f"/api/v1/jobs/{job}", {"state": "cancelled"})[0] == 200
+    wait_until(lambda: (farm.data / "jobs/1/film").exists(), "the checkpoint")
+    peer.close()
+    farm.kill_master()
+    farm.start_master()
+    assert farm.request("GET", f"/api/v1/jobs/{job}/picture.exr?partial=1", raw=True)[0] == 200
+    assert farm.request("PATCH", f"/api/v1/jobs/{job}", {"state": "queued"})[0] == 200
+    peer = Scripted(farm, instance=5).welcome()
+    render_all(farm, peer, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert report["samples"] == SIDE * SIDE * SPP
 
 
 # --- Hello ----------------------------------------------------------------------------------------
