@@ -15,7 +15,7 @@
 #include "common/file_io.h"
 #include "common/mem.h"
 
-static char folder[] = "/tmp/tilery-files-XXXXXX";
+static char folder[] = P_tmpdir "/tilery-files-XXXXXX";
 
 static int make_folder(void **state)
 {

@@ -15,7 +15,7 @@
 #include "tests/unit/problem_check.h"
 
 /* A folder with two meshes, made once. */
-static char folder[] = "/tmp/tilery-scene-XXXXXX";
+static char folder[] = P_tmpdir "/tilery-scene-XXXXXX";
 
 static void put_file(const char *name, const char *text)
 {
