@@ -51,32 +51,67 @@ static void sphere_ref(const struct accel_object *o, struct bvh_ref *out)
     }
 }
 
-/* An instance's box: the corners of its mesh's box, moved. A transform so lopsided that
- * going there and back could leave the padded box is given all of space. */
+/* An instance's box: the corners of its mesh's box, moved. */
 static void instance_ref(const struct accel_object *o, const struct bvh *mesh, struct bvh_ref *out)
 {
-    const double condition_max = 0x1p18;
-    double condition = 0.0;
     for (int k = 0; k < 3; k++) {
         const double *row = &o->to_scene[4 * k];
-        double low = row[3], high = row[3], size = fabs(row[3]), spread = 0.0;
+        double low = row[3], high = row[3], size = fabs(row[3]);
         for (int j = 0; j < 3; j++) {
             double a = row[j] * (double)mesh->lo[j], b = row[j] * (double)mesh->hi[j];
             low += exact_min(a, b);
             high += exact_max(a, b);
             size += exact_max(fabs(a), fabs(b));
-            for (int i = 0; i < 3; i++)
-                spread += fabs(row[j]) * fabs(o->from_scene[4 * j + i]);
         }
-        condition = exact_max(condition, spread);
         out->lo[k] = round_down(low - 0x1p-40 * size);
         out->hi[k] = round_up(high + 0x1p-40 * size);
     }
-    if (condition <= condition_max)
-        return;
+}
+
+/* A transform so lopsided that rounding on the way there and back could leave the padded
+ * box: its instance is given all of space. */
+static bool instance_lopsided(const struct accel_object *o)
+{
+    const double condition_max = 0x1p18;
+    double condition = 0.0;
     for (int k = 0; k < 3; k++) {
-        out->lo[k] = -0x1p100f;
-        out->hi[k] = 0x1p100f;
+        double spread = 0.0;
+        for (int j = 0; j < 3; j++)
+            for (int i = 0; i < 3; i++)
+                spread += fabs(o->to_scene[4 * k + j]) * fabs(o->from_scene[4 * j + i]);
+        condition = exact_max(condition, spread);
+    }
+    return !(condition <= condition_max);
+}
+
+static void lopsided_widen(const struct accel_object *objects, struct bvh_ref *refs, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        if (!(refs[i].primitive & BVH_REF_OBJECT)) /* then its owner may be a mesh */
+            continue;
+        const struct accel_object *o = &objects[refs[i].owner];
+        if (o->type != ACCEL_INSTANCE || !instance_lopsided(o))
+            continue;
+        for (int k = 0; k < 3; k++) {
+            refs[i].lo[k] = -0x1p60f;
+            refs[i].hi[k] = 0x1p60f;
+        }
+    }
+}
+
+/* The box of all references and its reach, which the answers depend on: the same with any
+ * builder. */
+static void tree_measure(const struct bvh_ref *refs, size_t count, struct bvh *out)
+{
+    for (int k = 0; k < 3; k++) {
+        float low = count ? refs[0].lo[k] : 0.0f, high = count ? refs[0].hi[k] : 0.0f;
+        for (size_t i = 1; i < count; i++) {
+            low = refs[i].lo[k] < low ? refs[i].lo[k] : low;
+            high = refs[i].hi[k] > high ? refs[i].hi[k] : high;
+        }
+        out->lo[k] = low;
+        out->hi[k] = high;
+        out->reach = exact_max(out->reach, exact_max(fabs((double)low), fabs((double)high)));
     }
 }
 
@@ -124,6 +159,30 @@ static size_t mesh_refs(const struct accel_mesh *m, uint32_t first, uint32_t own
     return count;
 }
 
+/* Takes refs. Without a builder a tree is only measured. */
+static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
+                           const struct accel_runner *runner, bvh_vertices_fn vertices,
+                           struct bvh *out)
+{
+    struct bvh box = {0}, made = {.root = BVH_EMPTY};
+    enum err err = ERR_OK;
+    tree_measure(refs, count, &box);
+    lopsided_widen(a->objects, refs, count);
+    if (a->options.builder == JOB_BUILDER_NONE)
+        mem_free(refs);
+    else
+        err = bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner, vertices, a,
+                      &made);
+    if (err)
+        return err;
+    memcpy(made.lo, box.lo, sizeof box.lo);
+    memcpy(made.hi, box.hi, sizeof box.hi);
+    made.reach = box.reach;
+    made.measured = true;
+    *out = made;
+    return ERR_OK;
+}
+
 static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct accel_runner *runner)
 {
     const struct accel_mesh *m = &a->meshes[mesh];
@@ -131,8 +190,7 @@ static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct acc
     if (!refs)
         return ERR_NOMEM;
     size_t count = mesh_refs(m, 0, mesh, runner, refs);
-    return bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner, mesh_vertices, a,
-                   &a->mesh_trees[mesh]);
+    return tree_build(a, refs, count, runner, mesh_vertices, &a->mesh_trees[mesh]);
 }
 
 static size_t object_refs(const struct accel *a, uint32_t number, const struct accel_runner *runner,
@@ -160,15 +218,15 @@ static enum err scene_tree_build(struct accel *a, const struct accel_runner *run
         return ERR_NOMEM;
     for (uint32_t i = 0; i < a->object_count; i++)
         count += object_refs(a, i, runner, &refs[count]);
-    return bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner, scene_vertices, a,
-                   &a->scene_tree);
+    return tree_build(a, refs, count, runner, scene_vertices, &a->scene_tree);
 }
 
 static enum err trees_build(struct accel *a, const struct accel_runner *runner)
 {
     for (uint32_t i = 0; i < a->object_count; i++) {
         const struct accel_object *o = &a->objects[i];
-        if (o->type == ACCEL_INSTANCE && !a->mesh_trees[o->mesh].arena)
+        struct bvh *tree = o->type == ACCEL_INSTANCE ? &a->mesh_trees[o->mesh] : NULL;
+        if (tree && !tree->measured && a->meshes[o->mesh].triangle_count)
             TL_TRY(mesh_tree_build(a, o->mesh, runner));
     }
     return scene_tree_build(a, runner);
@@ -227,8 +285,7 @@ static enum err build(struct accel *a, const struct accel_input *input,
     a->scene_tree.root = BVH_EMPTY;
     TL_TRY(copy_input(a, input));
     TL_TRY(number_triangles(a));
-    if (a->options.builder != JOB_BUILDER_NONE)
-        TL_TRY(trees_build(a, runner));
+    TL_TRY(trees_build(a, runner));
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
     for (size_t i = 0; i < a->mesh_count; i++)

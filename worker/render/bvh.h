@@ -65,6 +65,7 @@ struct bvh {
     uint32_t root;      /* BVH_EMPTY kind when there is nothing */
     float lo[3], hi[3]; /* of everything */
     double reach;       /* largest |coordinate| of lo and hi */
+    bool measured;      /* lo, hi and reach are set */
     float edge_unit;    /* the edge code's unit; see trace.h */
     uint64_t node_count, leaf_count, depth_max;
     double sah_cost;
@@ -100,6 +101,7 @@ struct bvh2 {
     } * runs;
     size_t run_count, node_limit;
     struct bvh_ref *refs; /* reordered */
+    uint32_t ref_count;
     struct bvh_ref *spare;
 };
 

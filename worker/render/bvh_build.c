@@ -601,7 +601,7 @@ enum err bvh2_build(struct bvh_ref *refs, uint32_t count, bool median,
                     const struct accel_runner *runner, struct bvh2 *out)
 {
     size_t limit = 2 * (size_t)count;
-    *out = (struct bvh2){.refs = refs, .node_limit = limit};
+    *out = (struct bvh2){.refs = refs, .ref_count = count, .node_limit = limit};
     out->nodes = bvh_alloc(limit, sizeof *out->nodes);
     out->spare = bvh_alloc(count, sizeof *refs);
     struct build b = {out, runner, median};

@@ -271,23 +271,20 @@ static void measure(const struct planner *p, struct bvh *out)
         }
     }
     out->sah_cost = root > 0.0 ? (root + sum) / root : 0.0;
-    for (int k = 0; k < 3; k++) {
-        out->lo[k] = p->nodes[0].lo[k];
-        out->hi[k] = p->nodes[0].hi[k];
-        double low = __builtin_fabs((double)out->lo[k]), high = __builtin_fabs((double)out->hi[k]);
-        out->reach = low > out->reach ? low : out->reach;
-        out->reach = high > out->reach ? high : out->reach;
-    }
 }
 
 /* The unit of the edge code: its largest code covers the largest extent of all. */
-static uint32_t edge_unit_bits(const struct bvh2_node *root)
+static uint32_t edge_unit_bits(const struct bvh_ref *refs, uint32_t count)
 {
     const uint32_t smallest = 0x00800000, span = (uint32_t)(EDGE_CODES - 1) << EDGE_SHIFT;
     float edge = 0.0f;
-    for (int k = 0; k < 3; k++) {
-        float extent = root->hi[k] - root->lo[k];
-        edge = extent > edge ? extent : edge;
+    for (uint32_t i = 0; i < count; i++) {
+        if (refs[i].primitive & BVH_REF_OBJECT)
+            continue;
+        for (int k = 0; k < 3; k++) {
+            float extent = refs[i].hi[k] - refs[i].lo[k];
+            edge = extent > edge ? extent : edge;
+        }
     }
     uint32_t bits = bits_of(edge * (1.0f + 0x1p-21f));
     return bits > span + smallest ? bits - span : smallest;
@@ -321,7 +318,7 @@ static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *r
     err = out->arena ? ERR_OK : ERR_NOMEM;
     if (err)
         goto done;
-    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(&tree->nodes[0])};
+    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(tree->refs, tree->ref_count)};
     bvh_run(runner, (p.count + PLANS_PER_TASK - 1) / PLANS_PER_TASK, write_some, &w);
     out->root = 0 << BVH_KIND_BITS | BVH_NODE;
     out->edge_unit = float_of(w.edge_bits);

@@ -57,31 +57,44 @@ static inline double exact_slab_clamp(double t, double lo, double hi, double d)
     return exact_min(exact_max(t, exact_min(a, b)), exact_max(a, b));
 }
 
-/* The t of an accepted triangle: its depth is held within its vertices' depths and,
- * where rounding threw the point out of the triangle's own (padded) box, as it does
- * for needles, t is moved back into the box. So t lies where any box around the
- * triangle says it can lie, whatever the tree. */
-static inline double exact_t(const struct trace_ray *r, const struct exact_edges *e)
+/* Is the point at t within the triangle's box across the ray, but for `slack`? */
+static inline bool exact_inside(const struct trace_ray *r, const struct exact_edges *e, double t,
+                                double slack)
+{
+    bool inside = true;
+    for (int k = 0; k < 2; k++) {
+        double lo = exact_min(exact_min(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) - slack;
+        double hi = exact_max(exact_max(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) + slack;
+        double p = t * r->dir[r->axis[k]];
+        inside = inside && p >= lo && p <= hi;
+    }
+    return inside;
+}
+
+/* The t of a triangle whose edge functions agree: its depth is held within its vertices'
+ * depths and, where rounding threw the point out of the triangle's own (padded) box, as
+ * it does for needles, t is moved back into the box. So t lies where any box around the
+ * triangle says it can lie, whatever the tree. False if the line does not meet the box:
+ * edge functions that vanish in rounding agree even where a line passes a degenerate
+ * triangle by, in its plane. No closed surface leaks by that: the triangle that the ray
+ * does cross is met within its box. */
+static inline bool exact_t(const struct trace_ray *r, const struct exact_edges *e, double *out)
 {
     double zmin = exact_min(exact_min(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
     double zmax = exact_max(exact_max(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
     double z = ((e->u * e->rel[0][2] + e->v * e->rel[1][2]) + e->w * e->rel[2][2]) / e->det;
     double t = exact_min(exact_max(z, zmin), zmax) * r->shear[2];
-    bool inside = true;
-    for (int k = 0; k < 2; k++) {
-        double lo = exact_min(exact_min(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) - r->slack;
-        double hi = exact_max(exact_max(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) + r->slack;
-        double p = t * r->dir[r->axis[k]];
-        inside = inside && p >= lo && p <= hi;
-    }
-    if (inside)
-        return t;
+    *out = t;
+    if (exact_inside(r, e, t, r->slack))
+        return true;
     for (int k = 0; k < 2; k++) {
         double lo = exact_min(exact_min(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) - r->slack;
         double hi = exact_max(exact_max(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) + r->slack;
         t = exact_slab_clamp(t, lo, hi, r->dir[r->axis[k]]);
     }
-    return exact_slab_clamp(t, zmin, zmax, r->dir[r->axis[2]]);
+    t = exact_slab_clamp(t, zmin, zmax, r->dir[r->axis[2]]);
+    *out = t;
+    return exact_inside(r, e, t, 2.0 * r->slack);
 }
 
 static inline bool exact_woop(const struct trace_ray *r, const float v[3][3], double *t)
@@ -92,8 +105,7 @@ static inline bool exact_woop(const struct trace_ray *r, const float v[3][3], do
     bool positive = e.u > 0.0 || e.v > 0.0 || e.w > 0.0;
     if ((negative && positive) || e.det == 0.0)
         return false;
-    *t = exact_t(r, &e);
-    return true;
+    return exact_t(r, &e, t);
 }
 
 /* The source report's test, as it stands: Moeller and Trumbore in double with an

@@ -179,18 +179,15 @@ static inline unsigned woop_four(const struct trace_ray *r, const struct bvh_lea
     return accepted;
 }
 
-static __attribute__((noinline)) double lane_t(const struct trace_ray *r,
-                                               const struct bvh_leaf *leaf, unsigned lane)
+/* exact_t's careful branch. */
+static __attribute__((noinline)) bool lane_t(const struct trace_ray *r, const struct bvh_leaf *leaf,
+                                             unsigned lane, double *t)
 {
     float v[3][3];
-    double t = 0.0;
     for (int i = 0; i < 3; i++)
         for (int k = 0; k < 3; k++)
             v[i][k] = leaf->v[i][k][lane];
-    bool hit = exact_woop(r, v, &t);
-    TL_DASSERT(hit);
-    (void)hit;
-    return t;
+    return exact_woop(r, v, t);
 }
 
 static __attribute__((noinline)) void leaf_decide(const struct accel *a, const struct trace_ray *r,
@@ -201,8 +198,8 @@ static __attribute__((noinline)) void leaf_decide(const struct accel *a, const s
     COUNT(decisions);
     for (unsigned lanes = woop_four(r, leaf, &d); lanes; lanes &= lanes - 1) {
         unsigned lane = (unsigned)__builtin_ctz(lanes);
-        if (d.outside >> lane & 1)
-            d.t[lane] = lane_t(r, leaf, lane);
+        if ((d.outside >> lane & 1) && !lane_t(r, leaf, lane, &d.t[lane]))
+            continue;
         uint32_t primitive = leaf->id[lane] & (BVH_PRIMITIVES_MAX - 1);
         if (accel_offer(a, d.t[lane], tmin, object, primitive, leaf, lane, best)) {
             best->v = d.v[lane];
@@ -219,8 +216,8 @@ leaf_blocks(const struct trace_ray *r, const struct bvh_leaf *leaf, double tmin,
     COUNT(decisions);
     for (unsigned lanes = woop_four(r, leaf, &d); lanes; lanes &= lanes - 1) {
         unsigned lane = (unsigned)__builtin_ctz(lanes);
-        if (d.outside >> lane & 1)
-            d.t[lane] = lane_t(r, leaf, lane);
+        if ((d.outside >> lane & 1) && !lane_t(r, leaf, lane, &d.t[lane]))
+            continue;
         if (d.t[lane] > tmin && d.t[lane] < tmax)
             return true;
     }

@@ -1,0 +1,264 @@
+/* Who is right where Embree and we differ? __float128 decides, and it has to be us.
+ *
+ *   test_accel_oracle [--long]
+ *
+ * Also prints which kernels ran and how often the decision in double did, counted by
+ * kernels compiled once more with counters. --long: 10^7 random rays a scene.
+ */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/mem.h"
+#include "common/scene.h"
+#include "tests/bench/trace_peer.h"
+#include "tests/prop/test_accel_kit.h"
+#include "worker/render/accel_parts.h"
+
+static bool is_long;
+
+/* --- The arbiter ------------------------------------------------------------ */
+
+struct verdict {
+    __float128 least_weight; /* of the three, as parts of 1; inside when >= 0 */
+    __float128 t;
+    bool flat;
+};
+
+/* The line through a triangle by triple products, which floats make all but exact. */
+static void judge(const struct ray *ray, const float *positions, const uint32_t *index,
+                  struct verdict *out)
+{
+    __float128 p[3][3], w[3], d[3], n[3];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            p[i][k] = (__float128)positions[3 * (size_t)index[i] + (size_t)k] - ray->org[k];
+    for (int k = 0; k < 3; k++)
+        d[k] = ray->dir[k];
+    for (int i = 0; i < 3; i++) {
+        const __float128 *a = p[(i + 1) % 3], *b = p[(i + 2) % 3];
+        w[i] = d[0] * (a[1] * b[2] - a[2] * b[1]) + d[1] * (a[2] * b[0] - a[0] * b[2]) +
+               d[2] * (a[0] * b[1] - a[1] * b[0]);
+    }
+    __float128 det = w[0] + w[1] + w[2], least = 1;
+    for (int k = 0; k < 3; k++) {
+        int x = (k + 1) % 3, y = (k + 2) % 3;
+        n[k] =
+            (p[1][x] - p[0][x]) * (p[2][y] - p[0][y]) - (p[1][y] - p[0][y]) * (p[2][x] - p[0][x]);
+    }
+    __float128 along = n[0] * d[0] + n[1] * d[1] + n[2] * d[2];
+    out->flat = det == 0 || along == 0;
+    if (out->flat)
+        return;
+    for (int i = 0; i < 3; i++)
+        least = w[i] / det < least ? w[i] / det : least;
+    out->least_weight = least;
+    out->t = (n[0] * p[0][0] + n[1] * p[0][1] + n[2] * p[0][2]) / along;
+}
+
+/* Is this answer the nearest hit, but for 1e-9 of an edge and of t? */
+static bool is_right(const struct trace_scene *s, const struct ray *ray, uint32_t primitive)
+{
+    const struct accel_mesh *m = &s->views[0];
+    const __float128 margin = 1e-9Q;
+    struct verdict ours = {.t = ray->tmax}, other;
+    if (primitive != SCENE_NONE) {
+        judge(ray, m->positions, &m->indices[3 * (size_t)primitive], &ours);
+        if (ours.flat || ours.least_weight < -margin)
+            return false;
+    }
+    for (uint32_t i = 0; i < m->triangle_count; i++) {
+        judge(ray, m->positions, &m->indices[3 * (size_t)i], &other);
+        if (!other.flat && other.least_weight > margin && other.t > ray->tmin + (double)margin &&
+            other.t < ours.t * (1 - margin) - margin)
+            return false;
+    }
+    return true;
+}
+
+/* --- Embree ------------------------------------------------------------------ */
+
+static void check_scene(enum trace_scene_id id, size_t count)
+{
+    enum { JUDGED_MAX = 300, CHUNK = 1000 };
+    static struct ray rays[CHUNK];
+    static struct hit hits[CHUNK];
+    struct trace_scene s;
+    uint64_t seed = 77;
+    size_t differ = 0, wrong_ours = 0, wrong_theirs = 0, judged = 0;
+    assert_int_equal(trace_scene_make(&s, id), ERR_OK);
+    struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    struct trace_peer *peer = trace_peer_new(NULL, 1);
+    assert_non_null(peer);
+    trace_peer_build(peer, &s, PEER_MEDIUM, true);
+    for (size_t i = 0; i < count; i += CHUNK) {
+        float form[CHUNK][8];
+        for (size_t j = 0; j < CHUNK; j++) { /* as floats, so that both sides see the same ray */
+            for (int k = 0; k < 3; k++) {
+                double to = 2.0 * gen_random(&seed) - 1.0;
+                form[j][k] = (float)(2.0 * gen_random(&seed) - 1.0);
+                form[j][4 + k] = (float)(to - (double)form[j][k]);
+            }
+            form[j][3] = 0.0f;
+            form[j][7] = __builtin_inff();
+            struct trace_rays one = {&form[j], 1};
+            rays[j] = trace_rays_get(&one, 0);
+        }
+        accel_closest_batch(a, rays, CHUNK, hits);
+        for (size_t j = 0; j < CHUNK; j++) {
+            struct trace_peer_hit theirs;
+            trace_peer_closest(peer, form[j], &theirs);
+            uint32_t ours = hits[j].object == SCENE_NONE ? SCENE_NONE : hits[j].primitive;
+            uint32_t other = theirs.object == SCENE_NONE ? SCENE_NONE : theirs.primitive;
+            if (ours == other)
+                continue;
+            differ++;
+            if (judged++ >= JUDGED_MAX && !is_long)
+                continue;
+            wrong_ours += !is_right(&s, &rays[j], ours);
+            wrong_theirs += !is_right(&s, &rays[j], other);
+        }
+    }
+    printf("  %s: %zu rays, Embree (ROBUST) differs on %zu; wrong: we %zu, Embree %zu\n",
+           trace_scene_names[id], count, differ, wrong_ours, wrong_theirs);
+    assert_int_equal(wrong_ours, 0);
+    trace_peer_free(peer);
+    accel_free(a);
+    trace_scene_release(&s);
+}
+
+static void test_against_embree(void **state)
+{
+    (void)state;
+    check_scene(TRACE_CORNELL, is_long ? 10000000 : 200000);
+    check_scene(TRACE_BALL70K, is_long ? 10000000 : 100000);
+    check_scene(TRACE_NEEDLES, is_long ? 1000000 : 20000);
+    if (is_long)
+        check_scene(TRACE_BALL1M, 10000000);
+}
+
+/* --- Needles ------------------------------------------------------------------ */
+
+/* Triangles of every aspect under every grazing angle: t against __float128. */
+static void test_needles(void **state)
+{
+    (void)state;
+    uint64_t seed = 3;
+    size_t count = is_long ? 2000000 : 100000, missed = 0, outside = 0;
+    double worst = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        double aspect = 1.0, graze = 1.0;
+        for (size_t k = i % 7; k > 0; k--)
+            aspect *= 0.1; /* to 1e-6 */
+        for (size_t k = i / 7 % 5; k > 0; k--)
+            graze *= 0.1; /* to 1e-4 */
+        float v[9] = {0, 0, 0, 1, 0, 0, (float)gen_random(&seed), (float)aspect, 0};
+        uint32_t index[3] = {0, 1, 2};
+        struct accel_mesh mesh = {v, index, 3, 1};
+        struct accel_object object = {.type = ACCEL_TRIANGLES};
+        struct accel_input input = {&mesh, 1, &object, 1};
+        struct accel *a = kit_build(&input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+        double b1 = 0.1 + 0.4 * gen_random(&seed), b2 = 0.1 + 0.4 * gen_random(&seed);
+        double at[2] = {b1 + b2 * (double)v[6], b2 * (double)v[7]};
+        struct ray ray = {{at[0] - 2.0, at[1] - gen_random(&seed), 2.0 * graze}, {0}, 0, 10};
+        ray.dir[0] = at[0] - ray.org[0];
+        ray.dir[1] = at[1] - ray.org[1];
+        ray.dir[2] = -ray.org[2];
+        struct hit hit;
+        struct verdict v128;
+        accel_closest(a, &ray, &hit);
+        judge(&ray, v, index, &v128);
+        if (hit.object == SCENE_NONE) {
+            missed += v128.least_weight > 1e-12Q;
+        } else {
+            __float128 error = (hit.t - v128.t) / v128.t;
+            worst = (double)(error < 0 ? -error : error) > worst
+                        ? (double)(error < 0 ? -error : error)
+                        : worst;
+            outside += v128.least_weight < -1e-9Q;
+        }
+        accel_free(a);
+    }
+    printf("  %zu needles: %zu missed, %zu hit from outside, t off by %.2g at most\n", count,
+           missed, outside, worst);
+    assert_int_equal(missed, 0);
+    assert_int_equal(outside, 0);
+    assert_true(worst <= 1e-8);
+}
+
+/* --- Counters ------------------------------------------------------------------- */
+
+uint64_t trace_count_nodes, trace_count_leaves, trace_count_decisions;
+extern const struct trace_kernel counted_sse2, counted_avx2, counted_avx512;
+
+static void count_kernel(struct accel *a, const char *scene, const struct trace_rays *rays,
+                         const char *kind, bool shadow)
+{
+    const struct trace_kernel *plain = a->kernel;
+    a->kernel = strcmp(plain->name, "avx512") == 0 ? &counted_avx512
+                : strcmp(plain->name, "avx2") == 0 ? &counted_avx2
+                                                   : &counted_sse2;
+    assert_string_equal(a->kernel->name, plain->name);
+    trace_count_nodes = trace_count_leaves = trace_count_decisions = 0;
+    size_t hits = 0;
+    for (size_t i = 0; i < rays->count; i++) {
+        struct ray ray = trace_rays_get(rays, i);
+        hits += accel_occluded(a, &ray);
+    }
+    if (!shadow) {
+        trace_count_nodes = trace_count_leaves = trace_count_decisions = 0;
+        for (size_t i = 0; i < rays->count; i++) {
+            struct ray ray = trace_rays_get(rays, i);
+            struct hit hit;
+            accel_closest(a, &ray, &hit);
+            hits -= hit.object != SCENE_NONE;
+        }
+        assert_int_equal(hits, 0);
+    }
+    double n = (double)rays->count;
+    printf("  %-9s %-7s %-7s nodes %6.2f, leaves %6.2f, decisions in double %5.2f a ray\n", scene,
+           kind, a->kernel->name, (double)trace_count_nodes / n, (double)trace_count_leaves / n,
+           (double)trace_count_decisions / n);
+    assert_true(trace_count_decisions > 0);
+    assert_true(trace_count_decisions < trace_count_leaves);
+    a->kernel = plain;
+}
+
+static void test_kernels_ran(void **state)
+{
+    (void)state;
+    static const enum trace_scene_id scenes[] = {TRACE_CORNELL, TRACE_BALL70K, TRACE_NEEDLES};
+    for (size_t i = 0; i < 3; i++) {
+        struct trace_scene s;
+        assert_int_equal(trace_scene_make(&s, scenes[i]), ERR_OK);
+        for (int isa = ACCEL_ISA_SSE2; isa <= ACCEL_ISA_AVX512; isa++) {
+            struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, (enum accel_isa)isa, NULL);
+            for (int kind = 0; kind < TRACE_RAYS_COUNT; kind++) {
+                struct trace_rays rays;
+                assert_int_equal(trace_rays_make(&rays, a, scenes[i], (enum trace_rays_id)kind, 64),
+                                 ERR_OK);
+                count_kernel(a, trace_scene_names[scenes[i]], &rays, trace_rays_names[kind],
+                             kind == TRACE_SHADOW);
+                trace_rays_release(&rays);
+            }
+            accel_free(a);
+        }
+        trace_scene_release(&s);
+    }
+}
+
+int main(int argc, char **argv)
+{
+    is_long = kit_long(argc, argv);
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_kernels_ran),
+        cmocka_unit_test(test_needles),
+        cmocka_unit_test(test_against_embree),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

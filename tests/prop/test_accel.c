@@ -1,0 +1,364 @@
+/* The tracing core against itself: every builder, kernel, batch and thread count answers as
+ * brute force does, bit for bit; degenerate input, closed surfaces, lack of memory. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "common/mem.h"
+#include "common/scene.h"
+#include "tests/prop/test_accel_kit.h"
+#include "worker/render/accel_parts.h"
+
+static bool is_long;
+
+static const enum accel_isa isas[] = {ACCEL_ISA_SSE2, ACCEL_ISA_AVX2, ACCEL_ISA_AVX512};
+
+static struct ray *make_rays(const struct trace_scene *s, size_t count, uint64_t seed)
+{
+    struct ray *rays = mem_alloc_array(count, sizeof *rays);
+    assert_non_null(rays);
+    for (size_t i = 0; i < count; i++)
+        kit_ray(s, &seed, i, &rays[i]);
+    return rays;
+}
+
+/* --- Agreement --------------------------------------------------------------- */
+
+static void check_agreement(const char *name, const struct trace_scene *s, size_t count)
+{
+    struct ray *rays = make_rays(s, count, 42);
+    struct accel *brute = kit_build(&s->input, JOB_BUILDER_NONE, ACCEL_ISA_AUTO, NULL);
+    size_t hits = 0;
+    for (size_t i = 0; i < count; i++)
+        hits += accel_occluded(brute, &rays[i]);
+    printf("  %s: %zu rays, %zu hits;", name, count, hits);
+    for (int builder = 0; builder < 2; builder++)
+        for (int i = 0; i < 3; i++) {
+            struct accel *a = kit_build(&s->input, (enum job_builder)builder, isas[i], NULL);
+            size_t bad = kit_differences(brute, a, rays, count);
+            printf(" %s/%s %zu", job_builder_names[builder], accel_isa_name(a), bad);
+            assert_int_equal(bad, 0);
+            accel_free(a);
+        }
+    printf("\n");
+    assert_true(hits > count / 20);
+    accel_free(brute);
+    mem_free(rays);
+}
+
+static void test_scenes_agree(void **state)
+{
+    (void)state;
+    static const size_t few[TRACE_SCENE_COUNT] = {4000, 24, 0, 0, 24, 6};
+    static const size_t many[TRACE_SCENE_COUNT] = {100000, 100000, 1000, 1000, 100000, 2000};
+    for (int id = 0; id < TRACE_SCENE_COUNT; id++) {
+        size_t count = is_long ? many[id] : few[id];
+        struct trace_scene s;
+        if (!count)
+            continue;
+        assert_int_equal(trace_scene_make(&s, (enum trace_scene_id)id), ERR_OK);
+        check_agreement(trace_scene_names[id], &s, count);
+        trace_scene_release(&s);
+    }
+}
+
+/* A scene of everything: a small ball and needles, twice over so that hits tie, spheres, and an
+ * instance stretched, mirrored and turned. */
+static void test_mixture_agrees(void **state)
+{
+    (void)state;
+    const double origin[3] = {0, 0, 0};
+    struct trace_scene s;
+    assert_int_equal(trace_scene_make(&s, TRACE_CORNELL), ERR_OK);
+    assert_int_equal(gen_ball(&s.mesh[1], 6, origin, 0.5, 0.5, 1), ERR_OK);
+    assert_int_equal(gen_needles(&s.mesh[1], 300, 0.8, 0.8, 1e-6, 1), ERR_OK);
+    s.views[1] =
+        (struct accel_mesh){s.mesh[1].positions, s.mesh[1].indices,
+                            (uint32_t)s.mesh[1].vertex_count, (uint32_t)s.mesh[1].triangle_count};
+    struct accel_object objects[8] = {
+        {.type = ACCEL_TRIANGLES, .mesh = 1},
+        {.type = ACCEL_SPHERE, .center = {0.3, 0.2, 0.1}, .radius = 0.25},
+        {.type = ACCEL_TRIANGLES, .mesh = 0},
+        {.type = ACCEL_TRIANGLES, .mesh = 1},
+        {.type = ACCEL_SPHERE, .center = {-0.5, 0.9, 0.3}, .radius = 1e-3},
+        {.type = ACCEL_INSTANCE,
+         .mesh = 1,
+         .to_scene = {0, -2, 0, 0.5, 0.5, 0, 0, 0, 0, 0, -1, 0},
+         .from_scene = {0, 2, 0, 0, -0.5, 0, 0, 0.25, 0, 0, -1, 0}},
+        {.type = ACCEL_INSTANCE,
+         .mesh = 0,
+         .to_scene = {1e-3, 0, 0, 0, 0, 1e3, 0, 0, 0, 0, 1, 0},
+         .from_scene = {1e3, 0, 0, 0, 0, 1e-3, 0, 0, 0, 0, 1, 0}},
+        {.type = ACCEL_SPHERE, .center = {0.3, 0.2, 0.1}, .radius = 0.25},
+    };
+    mem_free(s.objects);
+    s.objects = NULL;
+    s.input.objects = objects;
+    s.input.object_count = 8;
+    check_agreement("mixture", &s, is_long ? 100000 : 1500);
+    trace_scene_release(&s);
+}
+
+/* --- Threads ----------------------------------------------------------------- */
+
+static void test_threads_agree(void **state)
+{
+    (void)state;
+    struct trace_scene s;
+    assert_int_equal(trace_scene_make(&s, is_long ? TRACE_BALL1M : TRACE_BALL70K), ERR_OK);
+    struct accel *one = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    for (uint32_t threads = 2; threads <= 8; threads *= 2) {
+        struct accel_runner runner = kit_runner(threads);
+        struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, &runner);
+        assert_int_equal(a->scene_tree.bytes, one->scene_tree.bytes);
+        assert_memory_equal(a->scene_tree.arena, one->scene_tree.arena, one->scene_tree.bytes);
+        assert_memory_equal(&a->stats, &one->stats, sizeof a->stats);
+        accel_free(a);
+    }
+    accel_free(one);
+    trace_scene_release(&s);
+}
+
+/* --- Order of input ----------------------------------------------------------- */
+
+static void test_order_of_triangles(void **state)
+{
+    (void)state;
+    struct trace_scene s, shuffled;
+    uint64_t seed = 9;
+    size_t count = is_long ? 1000000 : 10000, bad = 0;
+    assert_int_equal(trace_scene_make(&s, TRACE_BALL70K), ERR_OK);
+    assert_int_equal(trace_scene_make(&shuffled, TRACE_BALL70K), ERR_OK);
+    uint32_t *index = shuffled.mesh[0].indices;
+    for (size_t i = shuffled.mesh[0].triangle_count - 1; i > 0; i--) {
+        size_t j = (size_t)(gen_random(&seed) * (double)(i + 1));
+        for (int k = 0; k < 3; k++) {
+            uint32_t swap = index[3 * i + (size_t)k];
+            index[3 * i + (size_t)k] = index[3 * j + (size_t)k];
+            index[3 * j + (size_t)k] = swap;
+        }
+    }
+    struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    struct accel *b = kit_build(&shuffled.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    for (size_t i = 0; i < count; i++) {
+        struct ray ray;
+        struct hit x, y;
+        kit_ray(&s, &seed, i, &ray);
+        accel_closest(a, &ray, &x);
+        accel_closest(b, &ray, &y);
+        bad +=
+            x.object != y.object || (x.object != SCENE_NONE && memcmp(&x.t, &y.t, sizeof x.t) != 0);
+    }
+    assert_int_equal(bad, 0);
+    accel_free(a);
+    accel_free(b);
+    trace_scene_release(&s);
+    trace_scene_release(&shuffled);
+}
+
+/* --- Closed surfaces ----------------------------------------------------------- */
+
+static void test_no_leak(void **state)
+{
+    (void)state;
+    const double origin[3] = {0, 0, 0};
+    struct gen_mesh ball;
+    struct trace_scene s;
+    uint64_t seed = 5;
+    size_t count = is_long ? 100000000 : 200000, leaks = 0;
+    enum { BATCH = 1000 };
+    static struct ray rays[BATCH];
+    static struct hit hits[BATCH];
+    gen_mesh_init(&ball);
+    assert_int_equal(gen_ball(&ball, 12, origin, 0.8, 0.3, 1), ERR_OK);
+    trace_scene_wrap(&s, &ball);
+    struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    for (size_t i = 0; i < count; i += BATCH) {
+        for (size_t j = 0; j < BATCH; j++) {
+            kit_ray(&s, &seed, i + j, &rays[j]);
+            for (int k = 0; k < 3; k++) { /* start inside, aim where the ray aimed */
+                double to = rays[j].org[k] + rays[j].dir[k];
+                rays[j].org[k] = 0.1 * (2.0 * gen_random(&seed) - 1.0);
+                rays[j].dir[k] = to - rays[j].org[k];
+            }
+            rays[j].tmin = 0.0;
+            rays[j].tmax = __builtin_inf();
+        }
+        accel_closest_batch(a, rays, BATCH, hits);
+        for (size_t j = 0; j < BATCH; j++)
+            leaks += hits[j].object == SCENE_NONE;
+    }
+    printf("  %zu rays from inside a ball, %zu leaks\n", count, leaks);
+    assert_int_equal(leaks, 0);
+    accel_free(a);
+    trace_scene_release(&s);
+}
+
+/* --- Degenerate input ----------------------------------------------------------- */
+
+static struct accel *wrap(struct trace_scene *s, struct gen_mesh *m, enum job_builder builder)
+{
+    trace_scene_wrap(s, m);
+    return kit_build(&s->input, builder, ACCEL_ISA_AUTO, NULL);
+}
+
+static void test_nothing_and_nonsense(void **state)
+{
+    (void)state;
+    struct accel_input empty = {NULL, 0, NULL, 0};
+    struct accel *none = kit_build(&empty, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    struct ray ray = {{0, 0, 3}, {0, 0, -1}, 0, 10};
+    struct hit hit;
+    accel_closest(none, &ray, &hit);
+    assert_int_equal(hit.object, SCENE_NONE);
+    assert_false(accel_occluded(none, &ray));
+    accel_free(none);
+
+    struct trace_scene s;
+    assert_int_equal(trace_scene_make(&s, TRACE_CORNELL), ERR_OK);
+    struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    const struct ray bad[] = {
+        {{NAN, 0, 3}, {0, 0, -1}, 0, 10},      {{0, 1, 3}, {0, NAN, -1}, 0, 10},
+        {{0, 1, 3}, {0, 0, 0}, 0, 10},         {{0, 1, INFINITY}, {0, 0, -1}, 0, 10},
+        {{0, 1, 3}, {0, 0, -INFINITY}, 0, 10}, {{0, 1, 3}, {0, 0, -1}, 10, 0},
+        {{0, 1, 3}, {0, 0, -1}, NAN, 10},      {{0, 1, 3}, {0, 0, -1}, 0, NAN},
+    };
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        uint8_t occluded = 1;
+        accel_closest(a, &bad[i], &hit);
+        assert_int_equal(hit.object, SCENE_NONE);
+        accel_closest_batch(a, &bad[i], 1, &hit);
+        assert_int_equal(hit.object, SCENE_NONE);
+        accel_occluded_batch(a, &bad[i], 1, &occluded);
+        assert_int_equal(occluded, 0);
+        assert_false(accel_occluded(a, &bad[i]));
+    }
+    struct ray good = {{0, 1, 3}, {0, 0, -1e300}, 0, INFINITY};
+    accel_closest(a, &good, &hit);
+    assert_int_equal(hit.object, 0);
+    accel_free(a);
+    trace_scene_release(&s);
+}
+
+/* Coincident, flat and exponentially shrinking triangles: depth bounded, answers right. */
+static void test_degenerate_meshes(void **state)
+{
+    (void)state;
+    for (int kind = 0; kind < 3; kind++) {
+        struct gen_mesh m;
+        struct trace_scene s;
+        uint64_t seed = 3;
+        gen_mesh_init(&m);
+        size_t count = kind == 0 ? 4000 : 400;
+        for (size_t i = 0; i < count; i++) {
+            double size = kind == 2 ? ldexp(1.0, -(int)(i / 4)) : 1.0;
+            double corner[3] = {size, size, 0}, e1[3] = {size, 0, 0}, e2[3] = {0, size, 0};
+            if (kind == 1) /* no area */
+                memcpy(e2, e1, sizeof e1);
+            assert_int_equal(gen_quad(&m, corner, e1, e2), ERR_OK);
+        }
+        struct accel *a = wrap(&s, &m, JOB_BUILDER_SAH);
+        struct accel *brute = kit_build(&s.input, JOB_BUILDER_NONE, ACCEL_ISA_AUTO, NULL);
+        struct accel_stats stats;
+        accel_stats_get(a, &stats);
+        assert_true(stats.depth_max <= BVH_DEPTH_MAX);
+        struct ray *rays = make_rays(&s, 200, seed);
+        assert_int_equal(kit_differences(brute, a, rays, 200), 0);
+        mem_free(rays);
+        accel_free(a);
+        accel_free(brute);
+        trace_scene_release(&s);
+    }
+}
+
+/* Every allocation of a build fails once. */
+static void test_out_of_memory(void **state)
+{
+    (void)state;
+    struct trace_scene s;
+    struct accel_options options = {.builder = JOB_BUILDER_SAH};
+    struct accel *a = NULL;
+    uint64_t calls = 0;
+    assert_int_equal(trace_scene_make(&s, TRACE_INSTANCES), ERR_OK);
+    for (;; calls++) {
+        mem_fail_after(calls);
+        enum err err = accel_new(&s.input, &options, NULL, &a);
+        mem_fail_after(UINT64_MAX);
+        if (err == ERR_OK)
+            break;
+        assert_int_equal(err, ERR_NOMEM);
+    }
+    assert_true(calls > 5);
+    accel_free(a);
+    trace_scene_release(&s);
+}
+
+/* No query allocates. */
+static void test_queries_do_not_allocate(void **state)
+{
+    (void)state;
+    struct trace_scene s;
+    assert_int_equal(trace_scene_make(&s, TRACE_INSTANCES), ERR_OK);
+    struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    struct ray *rays = make_rays(&s, 100, 1);
+    struct hit hits[100];
+    uint64_t before = mem_call_count();
+    accel_closest_batch(a, rays, 100, hits);
+    for (int i = 0; i < 100; i++)
+        accel_occluded(a, &rays[i]);
+    assert_int_equal(mem_call_count(), before);
+    mem_free(rays);
+    accel_free(a);
+    trace_scene_release(&s);
+}
+
+/* The report's test with its epsilon: right at this scale, blind to small triangles. */
+static void test_moller_trumbore(void **state)
+{
+    (void)state;
+    struct accel_options options = {.intersector = JOB_INTERSECTOR_MOLLER_TRUMBORE};
+    for (int small = 0; small < 2; small++) {
+        struct gen_mesh m;
+        struct trace_scene s;
+        struct accel *a = NULL;
+        struct hit hit;
+        double size = small ? 1e-5 : 1.0;
+        gen_mesh_init(&m);
+        assert_int_equal(
+            gen_quad(&m, (double[3]){0, 0, 0}, (double[3]){size, 0, 0}, (double[3]){0, size, 0}),
+            ERR_OK);
+        trace_scene_wrap(&s, &m);
+        assert_int_equal(accel_new(&s.input, &options, NULL, &a), ERR_OK);
+        struct ray ray = {{0.5 * size, 0.25 * size, 1}, {0, 0, -1}, 0, 10};
+        accel_closest(a, &ray, &hit);
+        assert_int_equal(hit.object, small ? SCENE_NONE : 0);
+        if (!small)
+            assert_true(hit.t == 1.0);
+        accel_free(a);
+        trace_scene_release(&s);
+    }
+}
+
+int main(int argc, char **argv)
+{
+    is_long = kit_long(argc, argv);
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_scenes_agree),
+        cmocka_unit_test(test_mixture_agrees),
+        cmocka_unit_test(test_threads_agree),
+        cmocka_unit_test(test_order_of_triangles),
+        cmocka_unit_test(test_no_leak),
+        cmocka_unit_test(test_nothing_and_nonsense),
+        cmocka_unit_test(test_degenerate_meshes),
+        cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_queries_do_not_allocate),
+        cmocka_unit_test(test_moller_trumbore),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
