@@ -1,0 +1,185 @@
+"""Models made here, imported and rendered: what comes out, and what is said."""
+import base64
+import json
+import os
+import pathlib
+import struct
+import subprocess
+
+import pytest
+
+TILERY = pathlib.Path(os.environ["TILERY_BIN"]) / "tilery"
+
+
+def tilery(*arguments, cwd):
+    done = subprocess.run([TILERY, *map(str, arguments)], cwd=cwd, capture_output=True,
+                          timeout=120, check=False)
+    return done.returncode, (done.stdout + done.stderr).decode()
+
+
+def imported(folder, model, status=0):
+    """The scene that a model becomes, and what was said."""
+    code, said = tilery("import", model, "-o", "scene.json", cwd=folder)
+    assert code == status, said
+    return (json.loads((folder / "scene.json").read_text()) if status == 0 else None), said
+
+
+def picture_hash(folder, scene):
+    code, said = tilery("render", scene, "-o", "out.exr", "--size", "32x32", "--spp", "4",
+                        "--report", "r.json", "--quiet", "--workers", "1", cwd=folder)
+    assert code == 0, said
+    return json.loads((folder / "r.json").read_text())["image_sha256"]
+
+
+def triangle_gltf(**extra):
+    """One triangle with normals, as a dict."""
+    data = struct.pack("<18f", 0, 0, 0, 1, 0, 0, 0, 1, 0, *([0, 0, 1] * 3))
+    model = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}}]}],
+        "buffers": [{"byteLength": len(data), "uri": "data:application/octet-stream;base64," +
+                     base64.b64encode(data).decode()}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36},
+                        {"buffer": 0, "byteOffset": 36, "byteLength": 36}],
+        "accessors": [{"bufferView": i, "componentType": 5126, "count": 3, "type": "VEC3",
+                       "min": [0, 0, 0], "max": [1, 1, 1]} for i in range(2)],
+    }
+    model.update(extra)
+    return model
+
+
+def write(folder, name, model):
+    (folder / name).write_text(json.dumps(model))
+    return name
+
+
+def test_obj_with_materials(tmp_path):
+    (tmp_path / "m.mtl").write_text(
+        "newmtl lamp\nKd 0 0 0\nKe 5 4 3\nnewmtl glass\nillum 7\nNi 1.33\nTf 0.9 1 1\n"
+        "newmtl mirror\nKd 0 0 0\nKs 0.9 0.9 0.9\nNs 1000\nillum 5\nnewmtl matt\nKd 0.2 0.4 0.6\n"
+        "newmtl gloss\nKd 0.5 0 0\nKs 0.5 0.5 0.5\nNs 98\n")
+    lines = ["mtllib m.mtl"]
+    for i, name in enumerate(("lamp", "glass", "mirror", "matt", "gloss", "missing")):
+        lines += [f"v {i} 0 0", f"v {i + 1} 0 0", f"v {i} 1 0", f"usemtl {name}", "f -3 -2 -1"]
+    (tmp_path / "m.obj").write_text("\n".join(lines))
+    scene, said = imported(tmp_path, "m.obj")
+    kinds = {name: m["type"] for name, m in scene["materials"].items()}
+    assert kinds == {"lamp": "diffuse", "glass": "glass", "mirror": "mirror", "matt": "diffuse",
+                     "gloss": "principled", "missing": "diffuse"}
+    assert scene["materials"]["glass"]["eta"] == 1.33
+    assert scene["materials"]["matt"]["color"] == [0.2, 0.4, 0.6]
+    assert scene["objects"][0]["light"]["radiance"] == [5, 4, 3]
+    assert "environment_map" not in scene  # the lamp lights it
+    assert 'no material "missing"' in said
+    assert picture_hash(tmp_path, "m.obj") == picture_hash(tmp_path, "scene.json")
+
+
+def test_missing_library_is_a_warning(tmp_path):
+    (tmp_path / "m.obj").write_text("mtllib gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
+    scene, said = imported(tmp_path, "m.obj")
+    assert "[missing-mtl]" in said and "[sky-added]" in said and "[camera-added]" in said
+    assert scene["environment_map"]["texture_name"] == "sky"
+
+
+def test_hierarchy_instances_camera_and_light(tmp_path):
+    model = triangle_gltf(
+        scenes=[{"nodes": [0, 3, 4]}],
+        nodes=[{"children": [1, 2], "translation": [10, 0, 0]}, {"mesh": 0, "scale": [-2, 1, 1]},
+               {"mesh": 0, "translation": [0, 5, 0]}, {"camera": 0, "translation": [0, 0, 20]},
+               {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 0, 30]}],
+        cameras=[{"type": "perspective", "perspective": {"yfov": 0.5, "aspectRatio": 2, "znear": 1}}],
+        extensionsUsed=["KHR_lights_punctual"],
+        extensions={"KHR_lights_punctual": {"lights": [
+            {"type": "spot", "color": [1, 0.5, 0.25], "intensity": 2000,
+             "spot": {"outerConeAngle": 0.5}}]}})
+    scene, said = imported(tmp_path, write(tmp_path, "m.gltf", model))
+    first, second = scene["objects"]
+    assert first["path"] == second["path"]
+    assert first["transform"][0] == -2 and first["transform"][3] == 10
+    assert second["transform"][3] == 10 and second["transform"][7] == 5
+    assert scene["film"]["resolution"] == [1200, 600]
+    assert scene["camera"]["fov"] == pytest.approx(28.6478897)
+    assert scene["camera"]["position"] == [0, 0, 20]
+    (light,) = scene["lights"]
+    assert light["type"] == "spot" and light["outer_angle"] == pytest.approx(28.6478897)
+    assert light["intensity"][1] / light["intensity"][0] == pytest.approx(0.5)
+    assert "[sky-added]" not in said and "[camera-added]" not in said
+    assert picture_hash(tmp_path, "m.gltf") == picture_hash(tmp_path, "scene.json")
+
+
+def test_materials_go_to_their_meshes_whatever_the_order(tmp_path):
+    model = triangle_gltf(
+        scenes=[{"nodes": [1, 0]}],
+        nodes=[{"mesh": 0, "translation": [1, 0, 0]}, {"mesh": 1, "translation": [2, 0, 0]}],
+        materials=[{"name": "unused"}, {"pbrMetallicRoughness": {"metallicFactor": 0.25}},
+                   {"pbrMetallicRoughness": {"metallicFactor": 0.75}}])
+    primitive = model["meshes"][0]["primitives"][0]
+    model["meshes"] = [{"primitives": [dict(primitive, material=1)]},
+                       {"primitives": [dict(primitive, material=2)]}]
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", model))
+    metallic = {o["transform"][3]: scene["materials"][o["material_name"]]["metallic"]
+                for o in scene["objects"]}
+    assert metallic == {1: 0.25, 2: 0.75}
+
+
+def test_extended_material(tmp_path):
+    model = triangle_gltf(materials=[{
+        "name": "m", "emissiveFactor": [1, 0.5, 0], "alphaMode": "MASK", "alphaCutoff": 0.25,
+        "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.5], "roughnessFactor": 0.5},
+        "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8},
+                       "KHR_materials_ior": {"ior": 1.25},
+                       "KHR_materials_specular": {"specularFactor": 0.5},
+                       "KHR_materials_clearcoat": {"clearcoatFactor": 0.75},
+                       "KHR_materials_sheen": {"sheenColorFactor": [0.1, 0.2, 0.3]},
+                       "KHR_materials_transmission": {"transmissionFactor": 0.125}}}])
+    model["meshes"][0]["primitives"][0]["material"] = 0
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", model))
+    m = scene["materials"]["m"]
+    assert (m["eta"], m["specular"], m["clearcoat"], m["transmission"]) == (1.25, 0.5, 0.75, 0.125)
+    assert m["alpha_mode"] == "mask" and m["alpha_cutoff"] == 0.25 and m["alpha"] == 0.5
+    assert m["sheen_color"] == [0.1, 0.2, 0.3]
+    assert scene["objects"][0]["light"]["radiance"] == [8, 4, 0]
+
+
+@pytest.mark.parametrize("change, expected", [
+    ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "KHR_draco_mesh_compression"),
+    ({"nodes": [{"mesh": 0, "children": [0]}]}, "[bad-hierarchy]"),
+    ({"scenes": [], "scene": 0}, "no scene in it"),
+    ({"buffers": [{"byteLength": 72, "uri": "gone.bin"}]}, 'no file "gone.bin"'),
+    ({"bufferViews": [{"buffer": 0, "byteLength": 36}, {"buffer": 7, "byteLength": 36}]},
+     "$.bufferViews[1].buffer"),
+    ({"asset": {"version": "3.0"}}, "[gltf-version]"),
+    ({"nodes": [{"mesh": 4}]}, "$.nodes[0].mesh"),
+    ({"materials": [{"normalTexture": {"index": 3}}]}, "$.materials[0].normalTexture.index"),
+])
+def test_damage_is_named(tmp_path, change, expected):
+    _, said = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(**change)), status=3)
+    assert expected in said and "nothing written" in said
+    assert not (tmp_path / "scene.json").exists()
+
+
+def test_points_alone_are_refused(tmp_path):
+    model = triangle_gltf()
+    model["meshes"][0]["primitives"][0]["mode"] = 0
+    _, said = imported(tmp_path, write(tmp_path, "m.gltf", model), status=3)
+    assert "no face" in said and "3 points" in said
+
+
+def test_other_formats_and_names(tmp_path):
+    (tmp_path / "m.stl").write_text(
+        "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+        "endloop\nendfacet\nendsolid s\n")
+    scene, _ = imported(tmp_path, "m.stl")
+    assert len(scene["objects"]) == 1
+    scene, _ = imported(tmp_path, write(tmp_path, "odd.json", triangle_gltf()))
+    assert len(scene["objects"]) == 1
+    (tmp_path / "noise.xyz").write_bytes(bytes(range(256)))
+    imported(tmp_path, "noise.xyz", status=3)
+    assert "missing-file" in imported(tmp_path, "none.glb", status=3)[1]
+
+
+def test_output_that_cannot_be_written(tmp_path):
+    name = write(tmp_path, "m.gltf", triangle_gltf())
+    code, said = tilery("import", name, "-o", "no/such/scene.json", cwd=tmp_path)
+    assert code == 5, said
+    assert tilery("import", name, cwd=tmp_path)[0] == 2

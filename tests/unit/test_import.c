@@ -1,0 +1,282 @@
+/* The importer's parts: wire, URIs, glTF data, framing, and whole models in memory of a folder. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <fcntl.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "client/import.h"
+#include "client/import_gltf.h"
+#include "client/import_wire.h"
+#include "common/file_io.h"
+#include "common/mem.h"
+
+/* --- A scene of one triangle ---------------------------------------------- */
+
+static void add_triangle(struct import *im, double size, double z)
+{
+    struct scene_mesh mesh = {.vertex_count = 3, .triangle_count = 1};
+    struct scene_object object;
+    const double p[9] = {0, 0, z, size, 0, z, 0, size, z};
+    scene_object_init(&object);
+    mesh.positions = mem_alloc_array(9, sizeof *mesh.positions);
+    mesh.indices = mem_alloc_array(3, sizeof *mesh.indices);
+    memcpy(mesh.positions, p, sizeof p);
+    for (uint32_t i = 0; i < 3; i++)
+        mesh.indices[i] = i;
+    assert_int_equal(import_add_mesh(im, &mesh, &object.mesh), ERR_OK);
+    assert_int_equal(import_add_object(im, &object), ERR_OK);
+}
+
+static void make(struct import *im, struct diag_list *problems)
+{
+    diag_init(problems);
+    assert_int_equal(import_init(im, "model.glb", problems), ERR_OK);
+}
+
+static void finish(struct import *im, struct diag_list *problems)
+{
+    import_release(im);
+    diag_release(problems);
+}
+
+/* --- The wire ------------------------------------------------------------ */
+
+static struct buf message_of(const struct import *im, const struct import_message *m)
+{
+    struct buf out;
+    int ends[2];
+    buf_init(&out);
+    assert_int_equal(pipe(ends), 0);
+    assert_int_equal(import_wire_send(ends[1], im, m, ERR_OK), ERR_OK);
+    (void)close(ends[1]);
+    for (;;) {
+        unsigned char *at = buf_extend(&out, 4096);
+        ssize_t got = read(ends[0], at, 4096);
+        assert_true(got >= 0);
+        out.bytes -= 4096 - (size_t)got;
+        if (got == 0)
+            break;
+    }
+    (void)close(ends[0]);
+    return out;
+}
+
+static struct buf sample_message(void)
+{
+    static char texture[] = "picture0", path[] = "a.png";
+    struct import_picture pictures[2] = {
+        {.texture = texture, .path = path},
+        {.texture = texture, .data = (const unsigned char *)"bytes", .bytes = 5}};
+    struct import_message m = {.pictures = pictures, .count = 2};
+    struct import im;
+    struct diag_list problems;
+    make(&im, &problems);
+    add_triangle(&im, 1, 0);
+    im.line_count = 7;
+    im.aspect = 1.5;
+    import_warn(&im, "left-out", "a hint", "something is left out");
+    struct buf out = message_of(&im, &m);
+    finish(&im, &problems);
+    return out;
+}
+
+static void wire_carries_a_scene(void **state)
+{
+    (void)state;
+    struct buf sent = sample_message();
+    struct import im;
+    struct import_message m = {0};
+    struct diag_list problems;
+    make(&im, &problems);
+    assert_int_equal(import_wire_get(sent.data, sent.bytes, &im, &m), ERR_OK);
+    assert_int_equal(im.scene.object_count, 1);
+    assert_int_equal(im.scene.meshes[0].triangle_count, 1);
+    assert_true(im.line_count == 7 && im.aspect == 1.5);
+    assert_int_equal(problems.warning_count, 1);
+    assert_string_equal(problems.items[0].hint, "a hint");
+    assert_int_equal(m.count, 2);
+    assert_string_equal(m.pictures[0].path, "a.png");
+    assert_null(m.pictures[1].path);
+    assert_memory_equal(m.pictures[1].data, "bytes", 5);
+    import_message_release(&m);
+    finish(&im, &problems);
+    buf_release(&sent);
+}
+
+static void get_any(const unsigned char *data, size_t bytes, bool may_be_good)
+{
+    struct import im;
+    struct import_message m = {0};
+    struct diag_list problems;
+    make(&im, &problems);
+    enum err e = import_wire_get(data, bytes, &im, &m);
+    assert_true(e != ERR_OK || (may_be_good && scene_valid(&im.scene)));
+    import_message_release(&m);
+    finish(&im, &problems);
+}
+
+/* Whatever a child that was taken over sends, it is refused or a valid scene. */
+static void wire_takes_hostile_bytes(void **state)
+{
+    (void)state;
+    struct buf sent = sample_message();
+    for (size_t bytes = 0; bytes < sent.bytes; bytes++)
+        get_any(sent.data, bytes, false);
+    for (size_t i = 0; i < sent.bytes; i++)
+        for (int bit = 0; bit < 8; bit += 3) {
+            sent.data[i] ^= (unsigned char)(1 << bit);
+            get_any(sent.data, sent.bytes, true);
+            sent.data[i] ^= (unsigned char)(1 << bit);
+        }
+    buf_release(&sent);
+}
+
+/* --- glTF's data --------------------------------------------------------- */
+
+static void uris_are_decoded(void **state)
+{
+    (void)state;
+    unsigned char *data;
+    size_t bytes;
+    assert_int_equal(gltf_data_uri("data:;base64,aGVsbG8=", &data, &bytes), ERR_OK);
+    assert_int_equal(bytes, 5);
+    assert_memory_equal(data, "hello", 5);
+    mem_free(data);
+    assert_int_equal(gltf_data_uri("data:;base64,a*", &data, &bytes), ERR_OK);
+    assert_null(data);
+    assert_int_equal(gltf_data_uri("data:text/plain,x", &data, &bytes), ERR_OK);
+    assert_null(data);
+    char *path = gltf_uri_path("a%20b%2Fc%zz%0");
+    assert_string_equal(path, "a b/c%zz%0");
+    mem_free(path);
+}
+
+static const char accessor_json[] =
+    "{\"asset\":{\"version\":\"2.0\"},\"buffers\":[{\"byteLength\":8,"
+    "\"uri\":\"data:;base64,AID/f///AAA=\"}],\"bufferViews\":[{\"buffer\":0,\"byteLength\":8}],"
+    "\"accessors\":[{\"bufferView\":0,\"componentType\":5122,\"normalized\":true,\"count\":2,"
+    "\"type\":\"VEC2\"},{\"bufferView\":0,\"componentType\":5123,\"count\":5,\"type\":\"SCALAR\"},"
+    "{\"bufferView\":9,\"componentType\":5123,\"count\":1,\"type\":\"SCALAR\"}]}";
+
+static void accessors_are_normalised_and_bounded(void **state)
+{
+    (void)state;
+    struct import im;
+    struct diag_list problems;
+    struct gltf t;
+    double *v;
+    size_t count;
+    make(&im, &problems);
+    assert_int_equal(gltf_open(&t, &im, accessor_json, sizeof accessor_json - 1), ERR_OK);
+    assert_int_equal(gltf_accessor(&t, 0, 2, &v, &count), ERR_OK);
+    assert_non_null(v);
+    assert_int_equal(count, 2);
+    assert_true(v[0] == -1 && v[1] == 1 && v[2] == -1.0 / 32767 && v[3] == 0);
+    mem_free(v);
+    assert_int_equal(gltf_accessor(&t, 0, 3, &v, &count), ERR_OK); /* no VEC3 */
+    assert_null(v);
+    assert_int_equal(gltf_accessor(&t, 1, 1, &v, &count), ERR_OK); /* one too many */
+    assert_null(v);
+    assert_int_equal(gltf_accessor(&t, 2, 1, &v, &count), ERR_OK); /* no such view */
+    assert_null(v);
+    assert_int_equal(gltf_accessor(&t, 3, 1, &v, &count), ERR_OK); /* no such accessor */
+    assert_null(v);
+    uint64_t bytes = 0;
+    assert_int_equal(gltf_check(&t, &bytes), ERR_INPUT);
+    gltf_close(&t);
+    finish(&im, &problems);
+}
+
+/* --- Framing ------------------------------------------------------------- */
+
+/* All corners of the model lie within the view, at any scale and place. */
+static void the_whole_model_is_framed(void **state)
+{
+    (void)state;
+    static const double sizes[] = {1e-9, 1, 1e9};
+    for (size_t i = 0; i < 3; i++) {
+        struct import im;
+        struct diag_list problems;
+        make(&im, &problems);
+        add_triangle(&im, sizes[i], 3 * sizes[i]);
+        add_triangle(&im, sizes[i], 0);
+        import_frame(&im);
+        const struct scene_camera *c = &im.scene.camera;
+        assert_true(import_camera_valid(c));
+        double d[3], distance = 0, radius = 0;
+        for (int k = 0; k < 3; k++) {
+            d[k] = c->position[k] - c->look_at[k];
+            distance += d[k] * d[k];
+        }
+        radius = sqrt(0.25 + 0.25 + 2.25) * sizes[i];
+        assert_true(sqrt(distance) > radius && sqrt(distance) < 8 * radius);
+        finish(&im, &problems);
+    }
+}
+
+static void a_sky_lights_what_has_no_light(void **state)
+{
+    (void)state;
+    struct import im;
+    struct job_spec spec;
+    struct diag_list problems;
+    make(&im, &problems);
+    add_triangle(&im, 1, 0);
+    assert_int_equal(import_finish(&im, &spec), ERR_OK);
+    assert_true(im.scene.envmap.texture != SCENE_NONE);
+    assert_int_equal(problems.warning_count, 2); /* sky and camera */
+    assert_true(job_spec_valid(&spec, NULL));
+    finish(&im, &problems);
+}
+
+/* --- Kinds of files ------------------------------------------------------ */
+
+static bool is_model(const char *folder, const char *name, const char *text)
+{
+    char *path = file_join(folder, name);
+    assert_int_equal(file_write(path, text, strlen(text)), ERR_OK);
+    bool is = import_is_model(path);
+    assert_int_equal(unlink(path), 0);
+    mem_free(path);
+    return is;
+}
+
+static void kinds_are_told_by_contents_first(void **state)
+{
+    (void)state;
+    char folder[] = "/tmp/tilery-import-XXXXXX";
+    assert_non_null(mkdtemp(folder));
+    assert_true(is_model(folder, "a.json", "{\"asset\": {\"version\": \"2.0\"}}"));
+    assert_false(is_model(folder, "a.json", "{\"camera\": {}}"));
+    assert_false(is_model(folder, "scene", "{\"camera\": {}}"));
+    assert_true(is_model(folder, "a.dat", "ply\nformat ascii 1.0\n"));
+    assert_true(is_model(folder, "a.json", "glTF\2"));
+    assert_true(is_model(folder, "a.obj", "{"));
+    assert_false(is_model(folder, "a.json", "{"));
+    assert_false(import_is_model("missing.json"));
+    assert_true(import_is_model("missing.obj"));
+    assert_int_equal(rmdir(folder), 0);
+}
+
+int main(int argc, char **argv)
+{
+    if (argc > 1 && strcmp(argv[1], IMPORT_CHILD_ARGUMENT) == 0)
+        return import_child_main(argc, argv);
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(wire_carries_a_scene),
+        cmocka_unit_test(wire_takes_hostile_bytes),
+        cmocka_unit_test(uris_are_decoded),
+        cmocka_unit_test(accessors_are_normalised_and_bounded),
+        cmocka_unit_test(the_whole_model_is_framed),
+        cmocka_unit_test(a_sky_lights_what_has_no_light),
+        cmocka_unit_test(kinds_are_told_by_contents_first),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
