@@ -1,7 +1,7 @@
 # Debian 12's libraries. Each is linked only by the layer that holds its door.
 find_package(PkgConfig REQUIRED)
 find_package(Threads REQUIRED)
-foreach(pair "uv;libuv" "cjson;libcjson" "zstd;libzstd" "gnutls;gnutls" "mhd;libmicrohttpd"
+foreach(pair "uv;libuv" "zstd;libzstd" "gnutls;gnutls" "mhd;libmicrohttpd"
              "sqlite;sqlite3" "curl;libcurl" "png;libpng" "turbojpeg;libturbojpeg")
   list(GET pair 0 target)
   list(GET pair 1 module)

@@ -3,7 +3,7 @@
 # install_packages LIST... installs what is missing, as root or through sudo.
 
 packages_build="gcc libc6-dev cmake ninja-build pkg-config ca-certificates git
-    libuv1-dev libcjson-dev libopenexr-dev libzstd-dev libgnutls28-dev libmicrohttpd-dev
+    libuv1-dev libopenexr-dev libzstd-dev libgnutls28-dev libmicrohttpd-dev
     libsqlite3-dev libcurl4-gnutls-dev libpng-dev libturbojpeg0-dev libsleef-dev libassimp-dev
     nanopb libnanopb-dev protobuf-compiler python3-protobuf uthash-dev"
 packages_test="libcmocka-dev clang-14 libclang-rt-14-dev clang-format-14 libembree-dev

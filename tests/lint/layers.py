@@ -30,7 +30,6 @@ PURE_COMMON = {
 # library header -> files that may include it.
 DOORS = {
     r"uv\.h": r"proto/transport.*|master/.*|worker/.*",
-    r"cjson/.*|cJSON\.h": r"common/json_get.*",
     r"openexr.*|OpenEXR/.*|half\.h": r"common/exr_file\.c",
     r"png\.h": r"common/png_file\.c",
     r"turbojpeg\.h": r"common/(jpeg_file|image_file)\.c",
