@@ -593,6 +593,102 @@ static void test_mismatch_of_a_late_copy_is_decided(void **state)
     assert_true(rig_find(&rig, SCHED_LIAR)->accepted);
 }
 
+/* Bug found by tests/sim: the checks of a cancelled job were forgotten, and a lie stayed. */
+static void test_checks_outlive_cancel_and_retry(void **state)
+{
+    (void)state;
+    assert_true(rig_join(&rig, 1, 1));
+    add_verified(2);
+    (void)rig_finish(&rig, 1000);
+    uint64_t open = rig_info(&rig, 1).checks_open;
+    assert_int_equal(open, 4);
+    assert_true(rig_job(&rig, SCHED_JOB_CANCEL, 1));
+    assert_true(rig_info(&rig, 1).checks_open == open);
+    assert_true(rig_job(&rig, SCHED_JOB_RETRY, 1));
+    assert_true(rig_join(&rig, 2, 1));
+    (void)rig_finish(&rig, 1000);
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+    assert_true(rig_info(&rig, 1).verified == open);
+}
+
+/* Bug found by tests/sim: a worker whose check came late was not heard, and was asked again with a
+ * deadline as short as before, for ever. */
+static void test_a_late_check_is_a_vote_and_teaches(void **state)
+{
+    (void)state;
+    assert_true(rig_join(&rig, 1, 1));
+    add_verified(1);
+    struct rig_lease l = rig_lease_of(&rig, 1, 0);
+    assert_true(rig_result(&rig, &l, 1000, 0));
+    assert_true(rig_join(&rig, 2, 1));
+    struct rig_lease late = rig_lease_of(&rig, 2, 0);
+    assert_int_equal(late.kind, SCHED_KIND_CHECK);
+    rig_wait(&rig, 21000);
+    assert_int_equal(rig_winfo(&rig, 2).timeouts, 1);
+    assert_true(rig_winfo(&rig, 2).speed == 0.0);
+    assert_true(rig_result(&rig, &late, 30000000, 0));
+    assert_int_equal(rig_count(&rig, SCHED_VOTE), 1);
+    assert_true(rig_info(&rig, 1).verified == 1);
+    assert_true(rig_winfo(&rig, 2).speed > 0.0);
+}
+
+/* Bug found by tests/sim: a check stayed leased to a worker whose bits had come as a late copy. */
+static void test_a_voter_is_not_asked(void **state)
+{
+    (void)state;
+    assert_true(rig_join(&rig, 1, 1));
+    add_verified(1);
+    struct rig_lease first = rig_lease_of(&rig, 1, 0);
+    assert_true(rig_result(&rig, &first, 1000, 0));
+    assert_true(rig_join(&rig, 2, 1));
+    struct rig_lease asked = rig_lease_of(&rig, 2, 0);
+    assert_int_equal(asked.kind, SCHED_KIND_CHECK);
+    struct sched_event e = {.type = SCHED_MISMATCH,
+                            .worker = 2,
+                            .job = 1,
+                            .mismatch = {.unit = asked.unit,
+                                         .worker_accepted = 1,
+                                         .digest_accepted = rig_digest(1, asked.unit),
+                                         .digest = 5}};
+    assert_true(rig_feed(&rig, &e));
+    assert_int_equal(rig_find(&rig, SCHED_REVOKE)->epoch, asked.epoch);
+    assert_int_equal(rig_info(&rig, 1).wait == SCHED_WAIT_THIRD_WORKER, rig.lease_count == 0);
+}
+
+static void test_an_overdue_check_is_given_to_an_idle_worker(void **state)
+{
+    (void)state;
+    assert_true(rig_join(&rig, 1, 1));
+    add_verified(1);
+    struct rig_lease l = rig_lease_of(&rig, 1, 0);
+    assert_true(rig_result(&rig, &l, 1000, 0));
+    assert_true(rig_join(&rig, 2, 1));
+    struct rig_lease slow = rig_lease_of(&rig, 2, 0);
+    assert_int_equal(slow.kind, SCHED_KIND_CHECK);
+    assert_true(rig_join(&rig, 3, 1));
+    rig_wait(&rig, 3000);
+    bool taken = false;
+    for (uint32_t i = 0; i < rig.lease_count; i++)
+        taken |= rig.leases[i].worker == 3 && rig.leases[i].kind == SCHED_KIND_CHECK;
+    assert_true(taken);
+    assert_int_equal(rig_winfo(&rig, 2).timeouts, 0);
+}
+
+/* Bug found by tests/sim: the heir of a revoked lease was left over. */
+static void test_cancel_revokes_copies_too(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 2, 1));
+    for (uint64_t w = 1; w <= 4; w++)
+        assert_true(rig_join(&rig, w, 1));
+    rig_wait(&rig, 60000);
+    assert_true(rig_info(&rig, 1).speculated >= 2);
+    uint32_t out = rig.lease_count;
+    assert_true(rig_job(&rig, SCHED_JOB_CANCEL, 1));
+    assert_int_equal(rig_count(&rig, SCHED_REVOKE), out);
+    assert_int_equal(rig.lease_count, 0);
+}
+
 /* --- Cells that start again
  * ----------------------------------------------------------------------- */
 
@@ -658,6 +754,11 @@ int main(void)
         TEST(test_a_dispute_waits_for_a_third),
         TEST(test_no_agreement_fails_the_job),
         TEST(test_mismatch_of_a_late_copy_is_decided),
+        TEST(test_checks_outlive_cancel_and_retry),
+        TEST(test_a_late_check_is_a_vote_and_teaches),
+        TEST(test_a_voter_is_not_asked),
+        TEST(test_an_overdue_check_is_given_to_an_idle_worker),
+        TEST(test_cancel_revokes_copies_too),
         TEST(test_reset_reopens_a_finished_job),
         TEST(test_reset_takes_cells_from_leases),
     };
