@@ -274,4 +274,10 @@ def name_of(pid):
 
 
 def interrupt(process):
+    """Ctrl-C, once the program listens to it."""
+    def listens():
+        text = pathlib.Path(f"/proc/{process.pid}/status").read_text()
+        caught = int(text.split("SigCgt:")[1].split()[0], 16)
+        return caught >> (signal.SIGINT - 1) & 1
+    wait_until(listens, "the handler of Ctrl-C")
     process.send_signal(signal.SIGINT)

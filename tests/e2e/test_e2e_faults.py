@@ -264,7 +264,7 @@ def test_interrupt_at_any_moment(tmp_path):
                                env=clean_env(TMPDIR=tmp_path))
         time.sleep(moments.uniform(0.01, 0.4))
         children = children_of(process.pid)
-        interrupt(process)
+        process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
         # Before the handlers stand, the signal ends the program itself.
         assert process.returncode in (130, -signal.SIGINT), (seed, err)
