@@ -12,6 +12,7 @@
 
 #include "client/import.h"
 #include "client/import_assimp.h"
+#include "common/file_io.h"
 #include "common/mem.h"
 
 #define ADDRESS_BYTES_MAX (UINT64_C(1) << 30)
@@ -59,7 +60,21 @@ static bool confine(uint64_t cpu_s)
 
 /* --- Reading ------------------------------------------------------------- */
 
-static const struct aiScene *read_model(const char *path)
+/* Vertices in integers become floats before assimp sees them. */
+static enum err prepare(struct assimp_import *a)
+{
+    char *data;
+    size_t bytes;
+    buf_init(&a->doc);
+    buf_init(&a->floats);
+    if (!a->uv_sets || file_read(a->im->path, UINT64_C(4) << 30, &data, &bytes) != ERR_OK)
+        return ERR_OK;
+    enum err e = gltf_floats(a->im, data, bytes, &a->doc, &a->floats);
+    mem_free(data);
+    return e;
+}
+
+static const struct aiScene *read_model(struct assimp_import *a)
 {
     unsigned steps = aiProcess_Triangulate | aiProcess_SortByPType | aiProcess_GenUVCoords |
                      aiProcess_ValidateDataStructure;
@@ -67,7 +82,9 @@ static const struct aiScene *read_model(const char *path)
     if (!settings)
         return NULL;
     aiSetImportPropertyInteger(settings, AI_CONFIG_IMPORT_NO_SKELETON_MESHES, 1);
-    const struct aiScene *scene = aiImportFileExWithProperties(path, steps, NULL, settings);
+    struct aiFileIO files = assimp_files(a);
+    const struct aiScene *scene =
+        aiImportFileExWithProperties(a->im->path, steps, a->doc.bytes ? &files : NULL, settings);
     aiReleasePropertyStore(settings);
     return scene;
 }
@@ -109,8 +126,11 @@ static int run(const char *path, const char *uv_sets)
     if (import_init(&im, path, &problems) != ERR_OK)
         return IMPORT_CHILD_NOMEM;
     struct assimp_import a = {.im = &im, .message = &message, .uv_sets = uv_sets};
-    a.from = read_model(path);
-    enum err e = a.from ? convert(&a) : refuse(&im);
+    enum err e = prepare(&a);
+    if (e == ERR_OK) {
+        a.from = read_model(&a);
+        e = a.from ? convert(&a) : refuse(&im);
+    }
     if (e == ERR_NOMEM)
         return IMPORT_CHILD_NOMEM;
     e = import_wire_send(IMPORT_CHILD_FD, &im, &message, e);

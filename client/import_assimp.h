@@ -6,8 +6,10 @@
 #ifndef CLIENT_IMPORT_ASSIMP_H
 #define CLIENT_IMPORT_ASSIMP_H
 
+#include <assimp/cfileio.h>
 #include <assimp/scene.h>
 
+#include "client/import_gltf.h"
 #include "client/import_wire.h"
 
 /* A node of the hierarchy with its place in the world. */
@@ -23,9 +25,10 @@ struct assimp_import {
     const char *uv_sets; /* glTF: a digit for each material; NULL: any other format */
     struct assimp_node *nodes;
     size_t node_count, node_capacity;
-    uint32_t *mesh_of;     /* assimp's mesh -> ours, SCENE_NONE: not yet or no face */
-    uint32_t *material_of; /* assimp's material -> ours */
-    double (*emission)[3]; /* of each of assimp's materials: what its area lights emit */
+    uint32_t *mesh_of;      /* assimp's mesh -> ours, SCENE_NONE: not yet or no face */
+    uint32_t *material_of;  /* assimp's material -> ours */
+    struct buf doc, floats; /* glTF rewritten with floats, when that was needed */
+    double (*emission)[3];  /* of each of assimp's materials: what its area lights emit */
 };
 
 /* Our mesh of one of assimp's, in its own space; *has_face is false when there is none, and then
@@ -45,6 +48,9 @@ TL_NODISCARD enum err assimp_materials(struct assimp_import *a);
 
 /* Objects, cameras and lights. */
 TL_NODISCARD enum err assimp_hierarchy(struct assimp_import *a);
+
+/* How assimp opens files: the rewritten document in place of the model. Borrows `a`. */
+struct aiFileIO assimp_files(struct assimp_import *a);
 
 void assimp_matrix(const struct aiMatrix4x4 *m, double out[16]);
 

@@ -26,6 +26,7 @@ static const char *const known_extensions[] = {
     "KHR_materials_variants",
     "KHR_materials_pbrSpecularGlossiness",
     "EXT_mesh_gpu_instancing",
+    "KHR_mesh_quantization",
     "KHR_xmp",
     "KHR_xmp_json_ld",
 };

@@ -9,6 +9,7 @@
 #define CLIENT_IMPORT_GLTF_H
 
 #include "client/import_model.h"
+#include "common/buf.h"
 #include "common/json_get.h"
 
 /* One of the top-level arrays, by index. */
@@ -93,6 +94,12 @@ TL_NODISCARD enum err gltf_order(struct gltf *t);
 
 /* Materials into the scene; fills material_of, emission and uv_sets. */
 TL_NODISCARD enum err gltf_materials(struct gltf *t);
+
+/* The document again with floats where vertices are kept in integers, and the floats, which it
+ * calls GLTF_FLOATS_NAME; both stay empty when there is nothing to change. In the child. */
+#define GLTF_FLOATS_NAME "vertices-as-floats.bin"
+TL_NODISCARD enum err gltf_floats(struct import *im, const char *data, size_t bytes,
+                                  struct buf *doc, struct buf *floats);
 
 /* Cameras, lights and instances of the scene shown; after the geometry is there. */
 TL_NODISCARD enum err gltf_nodes(struct gltf *t);

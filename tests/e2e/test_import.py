@@ -141,6 +141,49 @@ def test_extended_material(tmp_path):
     assert scene["objects"][0]["light"]["radiance"] == [8, 4, 0]
 
 
+def mesh_vertices(path):
+    """(properties, rows of numbers) of the vertices of a written mesh."""
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    words = [line.split() for line in head.decode().splitlines()]
+    count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
+    names = [w[2] for w in words if w[0] == "property" and len(w) == 3]
+    form = "<" + "".join("d" if w[1] == "double" else "f"
+                         for w in words if w[0] == "property" and len(w) == 3)
+    size = struct.calcsize(form)
+    return names, [struct.unpack(form, body[i * size:(i + 1) * size]) for i in range(count)]
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_vertices_in_integers(tmp_path, binary):
+    places = struct.pack("<12h", 0, 0, 0, 0, 100, 0, 0, 0, 0, -100, 0, 0)
+    uvs = bytes([0, 0, 0, 0, 255, 0, 0, 0, 0, 51, 0, 0])
+    model = triangle_gltf(
+        extensionsRequired=["KHR_mesh_quantization"], extensionsUsed=["KHR_mesh_quantization"],
+        buffers=[{"byteLength": 36, "uri": "vertices%201.bin"}],
+        bufferViews=[{"buffer": 0, "byteLength": 24, "byteStride": 8},
+                     {"buffer": 0, "byteOffset": 24, "byteLength": 12, "byteStride": 4}],
+        accessors=[{"bufferView": 0, "componentType": 5122, "count": 3, "type": "VEC3",
+                    "min": [0, -100, 0], "max": [100, 0, 0]},
+                   {"bufferView": 1, "componentType": 5121, "normalized": True, "count": 3,
+                    "type": "VEC2"}])
+    model["meshes"][0]["primitives"][0]["attributes"] = {"POSITION": 0, "TEXCOORD_0": 1}
+    if binary:
+        del model["buffers"][0]["uri"]
+        text = json.dumps(model).encode()
+        text += b" " * (-len(text) % 4)
+        (tmp_path / "m.glb").write_bytes(
+            struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + 8 + 36, len(text), 0x4E4F534A) +
+            text + struct.pack("<II", 36, 0x004E4942) + places + uvs)
+        scene, _ = imported(tmp_path, "m.glb")
+    else:
+        (tmp_path / "vertices 1.bin").write_bytes(places + uvs)
+        scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", model))
+    names, rows = mesh_vertices(tmp_path / scene["objects"][0]["path"])
+    assert names == ["x", "y", "z", "u", "v"]
+    flat = [pytest.approx(r) for r in ((0, 0, 0, 0, 1), (100, 0, 0, 1, 1), (0, -100, 0, 0, 0.8))]
+    assert rows == flat
+
+
 @pytest.mark.parametrize("change, expected", [
     ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "KHR_draco_mesh_compression"),
     ({"nodes": [{"mesh": 0, "children": [0]}]}, "[bad-hierarchy]"),
