@@ -181,13 +181,21 @@ def start_render(tmp_path, *options):
     return process, workers
 
 
+def wait_first_tenth(process):
+    """Reads progress lines until the render is well under way."""
+    for line in process.stderr:
+        if "%" in line[:5]:
+            return
+    raise AssertionError("the render ended before it began")
+
+
 def child_named(process, name):
     return [pid for pid in children_of(process.pid) if name_of(pid) == name]
 
 
 def test_render_survives_a_killed_worker(tmp_path, golden):
     process, _ = start_render(tmp_path, "--workers", 3, "--threads", 1)
-    time.sleep(0.8)
+    wait_first_tenth(process)
     os.kill(child_named(process, "tilery-worker")[0], signal.SIGKILL)
     _, err = process.communicate(timeout=180)
     assert process.returncode == 0, err
@@ -197,7 +205,7 @@ def test_render_survives_a_killed_worker(tmp_path, golden):
 
 def test_render_survives_a_killed_master(tmp_path, golden):
     process, _ = start_render(tmp_path)
-    time.sleep(0.8)
+    wait_first_tenth(process)
     os.kill(child_named(process, "tilery-master")[0], signal.SIGKILL)
     _, err = process.communicate(timeout=180)
     assert process.returncode == 0, err
