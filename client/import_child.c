@@ -19,6 +19,11 @@
 /* Processor seconds: enough for any small file, more for large ones. A slow or busy machine may
  * take several times as long by the clock. */
 enum { CPU_S_BASE = 4, CPU_S_MAX = 600, CLOCK_FACTOR = 4, READ_STEP_BYTES = 1 << 20 };
+
+/* The child limits its own addresses; builds with a sanitizer cannot, so its memory is looked at
+ * too. */
+#define RESIDENT_BYTES_MAX (UINT64_C(1) << 30)
+enum { LOOK_MS = 50 };
 #define BYTES_PER_CPU_S (UINT64_C(1) << 20)
 
 extern char **environ;
@@ -96,6 +101,20 @@ static enum err read_some(int fd, struct buf *message)
     return got == 0 ? ERR_CLOSED : message->bytes > MESSAGE_BYTES_MAX ? ERR_LIMIT : ERR_OK;
 }
 
+/* True if it holds more memory than it may; false when that cannot be told. */
+static bool is_too_large(const struct child *c)
+{
+    char path[40], text[64] = "";
+    unsigned long long size, resident;
+    (void)snprintf(path, sizeof path, "/proc/%ld/statm", (long)c->pid);
+    int fd = open(path, O_RDONLY | O_CLOEXEC);
+    ssize_t got = fd >= 0 ? read(fd, text, sizeof text - 1) : -1;
+    if (fd >= 0)
+        (void)close(fd);
+    return got > 0 && sscanf(text, "%llu %llu", &size, &resident) == 2 &&
+           resident * (uint64_t)sysconf(_SC_PAGESIZE) > RESIDENT_BYTES_MAX;
+}
+
 static enum err listen_to(const struct child *c, struct buf *message)
 {
     int64_t end_ms = now_ms() + (int64_t)c->cpu_s * 1000 * CLOCK_FACTOR;
@@ -105,7 +124,9 @@ static enum err listen_to(const struct child *c, struct buf *message)
         struct pollfd p = {.fd = c->fd, .events = POLLIN};
         if (left_ms <= 0)
             return ERR_TIMEOUT;
-        int ready = poll(&p, 1, left_ms < 60000 ? (int)left_ms : 60000);
+        if (is_too_large(c))
+            return ERR_LIMIT;
+        int ready = poll(&p, 1, LOOK_MS);
         if (ready < 0 && errno != EINTR)
             return ERR_IO;
         if (ready > 0)
@@ -129,15 +150,14 @@ static int finish(const struct child *c, bool kill_it)
 static enum err tell_death(struct import *im, enum err heard, int status)
 {
     static const char hint[] = "open and save the model in another program, or convert it";
-    bool too_long =
-        heard == ERR_TIMEOUT ||
-        (WIFSIGNALED(status) && (WTERMSIG(status) == SIGXCPU || WTERMSIG(status) == SIGKILL));
+    bool killed =
+        WIFSIGNALED(status) && (WTERMSIG(status) == SIGXCPU || WTERMSIG(status) == SIGKILL);
     if (heard == ERR_NOMEM)
         return heard;
-    if (too_long)
-        return import_fail(im, "import-limit", hint, "reading it took too long and was ended");
     if (heard == ERR_LIMIT)
-        return import_fail(im, "import-limit", hint, "the model is too large");
+        return import_fail(im, "import-limit", hint, "reading it needs more than 1 GiB of memory");
+    if (heard == ERR_TIMEOUT || killed)
+        return import_fail(im, "import-limit", hint, "reading it took too long and was ended");
     if (WIFSIGNALED(status))
         return import_fail(im, "import-crash", hint,
                            "the reader of this format crashed on it (signal %d)", WTERMSIG(status));

@@ -403,6 +403,32 @@ static enum err add_parts(struct import *im, const struct obj_model *model, cons
     return e;
 }
 
+/* Looks at the first vertex only: files have colours at all vertices or at none. */
+static void tell_obj_colors(struct import *im, const char *text, size_t bytes)
+{
+    const char *end = text + bytes, *line = text;
+    while (line && end - line > 2 && !(line[0] == 'v' && line[1] == ' ')) {
+        line = memchr(line, '\n', (size_t)(end - line));
+        line = line ? line + 1 : NULL;
+    }
+    if (!line)
+        return;
+    int words = 0;
+    for (const char *c = line + 1; c < end && *c != '\n' && *c != '\r' && *c != '#'; c++)
+        words += *c != ' ' && *c != '\t' && (c[-1] == ' ' || c[-1] == '\t');
+    if (words >= 6)
+        import_warn(im, "left-out", NULL, "colours of vertices are left out");
+}
+
+static void tell_ply_colors(struct import *im, const char *data, size_t bytes)
+{
+    size_t head = bytes < 8192 ? bytes : 8192;
+    const char *end = memmem(data, head, "end_header", 10);
+    const char *red = end ? memmem(data, (size_t)(end - data), " red", 4) : NULL;
+    if (red)
+        import_warn(im, "left-out", NULL, "colours of vertices are left out");
+}
+
 enum err import_obj(struct import *im, const char *text, size_t bytes)
 {
     struct obj_model model;
@@ -411,6 +437,7 @@ enum err import_obj(struct import *im, const char *text, size_t bytes)
     im->vertex_count += model.position_count;
     im->point_count += model.point_count;
     im->line_count += model.line_count;
+    tell_obj_colors(im, text, bytes);
     enum err e = find_libraries(im, &model, &shelf);
     if (e == ERR_OK)
         e = add_parts(im, &model, &shelf);
@@ -426,6 +453,7 @@ enum err import_ply(struct import *im, const char *data, size_t bytes)
     struct scene_object object;
     scene_object_init(&object);
     TL_TRY(ply_read_mesh(data, bytes, im->path, &mesh, im->problems));
+    tell_ply_colors(im, data, bytes);
     TL_TRY(import_add_mesh(im, &mesh, &object.mesh));
     grey_material(&material);
     TL_TRY(import_add_material(im, &material, "default", &object.material));
