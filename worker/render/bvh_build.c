@@ -11,7 +11,7 @@
  */
 #include "worker/render/bvh.h"
 
-#include <emmintrin.h>
+#include <immintrin.h>
 #include <string.h>
 
 #include "common/mem.h"
@@ -27,7 +27,8 @@ enum {
 };
 
 struct box4 {
-    __m128 lo, hi; /* the fourth lanes hold whatever a reference has there */
+    _Alignas(32) __m128 lo;
+    __m128 hi; /* the fourth lanes hold whatever a reference has there */
 };
 
 struct extent {
@@ -173,23 +174,82 @@ static inline void bins_put(struct bins *b, int axis, int bin, __m128 lo, __m128
     b->count[axis][bin]++;
 }
 
+static inline void bins_add_one(struct bins *b, const struct grid *g, const struct bvh_ref *ref)
+{
+    __m128 lo = _mm_load_ps(ref->lo), hi = _mm_load_ps(ref->hi);
+    __m128 at =
+        _mm_mul_ps(_mm_sub_ps(_mm_add_ps(lo, hi), _mm_loadu_ps(g->low)), _mm_loadu_ps(g->scale));
+    /* What is not a number goes last. */
+    at = _mm_max_ps(_mm_min_ps(at, _mm_set1_ps(g->last)), _mm_setzero_ps());
+    __m128i bin = _mm_cvttps_epi32(at);
+    bins_put(b, 0, _mm_extract_epi16(bin, 0), lo, hi);
+    bins_put(b, 1, _mm_extract_epi16(bin, 2), lo, hi);
+    bins_put(b, 2, _mm_extract_epi16(bin, 4), lo, hi);
+    if (g->axes > 3)
+        bins_put(b, SIZE_AXIS, size_bin(g, half_area(lo, hi)), lo, hi);
+}
+
+/* Two references at a time from far apart, since neighbours wait for each other's bin. */
+static void bins_add_sse2(struct bins *b, const struct grid *g, const struct bvh_ref *refs,
+                          uint32_t begin, uint32_t end)
+{
+    uint32_t half = (end - begin) / 2;
+    for (uint32_t i = begin; i < begin + half; i++) {
+        bins_add_one(b, g, &refs[i]);
+        bins_add_one(b, g, &refs[i + half]);
+    }
+    if ((end - begin) & 1)
+        bins_add_one(b, g, &refs[end - 1]);
+}
+
+/* The same boxes and counts with a reference, or a bin, in one register. */
+__attribute__((target("avx2"))) static inline void bins_put_avx2(struct bins *b, int axis, int bin,
+                                                                 __m256 ref)
+{
+    float *at = (float *)&b->box[axis][bin];
+    __m256 old = _mm256_load_ps(at);
+    _mm256_store_ps(at, _mm256_blend_ps(_mm256_min_ps(old, ref), _mm256_max_ps(old, ref), 0xf0));
+    b->count[axis][bin]++;
+}
+
+__attribute__((target("avx2"))) static inline void
+bins_add_one_avx2(struct bins *b, const struct grid *g, const struct bvh_ref *r, bool sized)
+{
+    __m256 ref = _mm256_load_ps(r->lo);
+    __m128 lo = _mm256_castps256_ps128(ref), hi = _mm256_extractf128_ps(ref, 1);
+    __m128 at =
+        _mm_mul_ps(_mm_sub_ps(_mm_add_ps(lo, hi), _mm_loadu_ps(g->low)), _mm_loadu_ps(g->scale));
+    at = _mm_max_ps(_mm_min_ps(at, _mm_set1_ps(g->last)), _mm_setzero_ps());
+    __m128i bin = _mm_cvttps_epi32(at);
+    bins_put_avx2(b, 0, _mm_cvtsi128_si32(bin), ref);
+    bins_put_avx2(b, 1, _mm_extract_epi32(bin, 1), ref);
+    bins_put_avx2(b, 2, _mm_extract_epi32(bin, 2), ref);
+    if (sized)
+        bins_put_avx2(b, SIZE_AXIS, size_bin(g, half_area(lo, hi)), ref);
+}
+
+__attribute__((target("avx2"))) static void bins_add_avx2(struct bins *b, const struct grid *g,
+                                                          const struct bvh_ref *refs,
+                                                          uint32_t begin, uint32_t end)
+{
+    uint32_t half = (end - begin) / 2;
+    const struct grid own = *g;
+    bool sized = g->axes > 3;
+    for (uint32_t i = begin; i < begin + half; i++) {
+        bins_add_one_avx2(b, &own, &refs[i], sized);
+        bins_add_one_avx2(b, &own, &refs[i + half], sized);
+    }
+    if ((end - begin) & 1)
+        bins_add_one_avx2(b, &own, &refs[end - 1], sized);
+}
+
 static void bins_add(struct bins *b, const struct grid *g, const struct bvh_ref *refs,
                      uint32_t begin, uint32_t end)
 {
-    __m128 low = _mm_loadu_ps(g->low), scale = _mm_loadu_ps(g->scale);
-    __m128 last = _mm_set1_ps(g->last), zero = _mm_setzero_ps();
-    bool sized = g->axes > 3;
-    for (uint32_t i = begin; i < end; i++) {
-        __m128 lo = _mm_load_ps(refs[i].lo), hi = _mm_load_ps(refs[i].hi);
-        __m128 at = _mm_mul_ps(_mm_sub_ps(_mm_add_ps(lo, hi), low), scale);
-        /* What is not a number goes last. */
-        __m128i bin = _mm_cvttps_epi32(_mm_max_ps(_mm_min_ps(at, last), zero));
-        bins_put(b, 0, _mm_extract_epi16(bin, 0), lo, hi);
-        bins_put(b, 1, _mm_extract_epi16(bin, 2), lo, hi);
-        bins_put(b, 2, _mm_extract_epi16(bin, 4), lo, hi);
-        if (sized)
-            bins_put(b, SIZE_AXIS, size_bin(g, half_area(lo, hi)), lo, hi);
-    }
+    if (__builtin_cpu_supports("avx2"))
+        bins_add_avx2(b, g, refs, begin, end);
+    else
+        bins_add_sse2(b, g, refs, begin, end);
 }
 
 static void bins_merge(struct bins *b, const struct bins *other, const struct grid *g)
@@ -602,7 +662,7 @@ enum err bvh2_build(struct bvh_ref *refs, uint32_t count, bool median,
 {
     size_t limit = 2 * (size_t)count;
     *out = (struct bvh2){.refs = refs, .ref_count = count, .node_limit = limit};
-    out->nodes = bvh_alloc(limit, sizeof *out->nodes);
+    out->nodes = mem_alloc_aligned(limit * sizeof *out->nodes, 64); /* sparse: no huge pages */
     out->spare = bvh_alloc(count, sizeof *refs);
     struct build b = {out, runner, median};
     enum err err = out->nodes && out->spare ? build_tasks(&b, count) : ERR_NOMEM;

@@ -304,7 +304,7 @@ static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *r
     enum err err = ERR_NOMEM;
     struct choosing choosing = {tree, NULL};
     struct planner p = {tree->nodes, tree->refs, NULL, NULL, 0, 0, 0};
-    choosing.choices = bvh_alloc(tree->node_limit, sizeof *choosing.choices);
+    choosing.choices = mem_alloc_aligned(tree->node_limit * sizeof *choosing.choices, 64);
     if (!choosing.choices)
         goto done;
     bvh_run(runner, tree->run_count - 1, choose_task, &choosing);

@@ -337,7 +337,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
 static inline bool walk_any(const struct accel *a, const struct bvh *tree,
                             const struct trace_ray *r, double tmin, double tmax)
 {
-    uint32_t refs[BVH_STACK + STACK_SLACK];
+    uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0;
@@ -353,12 +353,19 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
             unsigned mask = node_meet(node, &slabs, row, from, to, &entry);
             if (!mask)
                 break;
-            children_list(mask, node->child, refs + top);
-            top += (unsigned)__builtin_popcount(mask) - 1;
-            ref = refs[top];
+            if ((mask & (mask - 1)) == 0) {
+                ref = node->child[__builtin_ctz(mask)];
+                prefetch(arena, ref);
+                continue;
+            }
+            /* What is near blocks more often than what is far: that pays for sorting. */
+            unsigned count = (unsigned)__builtin_popcount(mask);
+            unsigned nearest =
+                children_sort(entry, mask, count, node->child, keys + top, refs + top);
+            top += count - 1;
+            ref = node->child[nearest];
             prefetch(arena, ref);
-            if (top > 0)
-                prefetch(arena, refs[top - 1]);
+            prefetch(arena, refs[top - 1]);
             continue;
         }
         case BVH_LEAF: {
@@ -513,6 +520,7 @@ static inline bool runner_step_any(struct runner *s, const struct accel *a, uint
             node_meet(node, &s->slabs, s->ray.row, f8_splat(s->from), f8_splat(s->to), &entry);
         if (!mask)
             break;
+        /* Sorting, which pays for a single ray, costs more than it saves here: measured. */
         children_list(mask, node->child, s->refs + s->top);
         s->top += (unsigned)__builtin_popcount(mask) - 1;
         s->ref = s->refs[s->top];
