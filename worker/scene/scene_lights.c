@@ -187,6 +187,12 @@ static void sky_rotation(const double m[16], double to_local[9])
     x = v3_unit(x);
     y = v3_unit(v3_sub(y, v3_scale(x, v3_dot(x, y))));
     z = v3_scale(v3_cross(x, y), handed);
+    /* A transform that flattens space has no rotation. */
+    if (!(fabs(v3_dot(v3_cross(x, y), z)) > 0.5)) {
+        x = v3(1, 0, 0);
+        y = v3(0, 1, 0);
+        z = v3(0, 0, 1);
+    }
     v3_put(to_local, x);
     v3_put(to_local + 3, y);
     v3_put(to_local + 6, z);

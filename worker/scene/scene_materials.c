@@ -3,6 +3,9 @@
 /* Sheen finer than this is a line. */
 static const double SHEEN_ALPHA_MIN = 1e-2;
 
+/* Facets smoother than this are a mirror to any light, and densities stay far from overflow. */
+static const double ALPHA_MIN = 1e-4;
+
 static size_t image_bytes(const struct scene_image *image)
 {
     size_t sample = image->format == SCENE_IMAGE_F32 ? sizeof(float) : 1;
@@ -97,8 +100,8 @@ static void make_material(const struct scene *scene, const struct scene_material
     *out = (struct material){.type = from->type,
                              .twosided = from->twosided,
                              .distribution = from->distribution,
-                             .alpha_x = from->alpha_x,
-                             .alpha_y = from->alpha_y,
+                             .alpha_x = from->alpha_x > ALPHA_MIN ? from->alpha_x : ALPHA_MIN,
+                             .alpha_y = from->alpha_y > ALPHA_MIN ? from->alpha_y : ALPHA_MIN,
                              .eta = from->eta,
                              .R = rgb_of(from->R),
                              .T = rgb_of(from->T),
