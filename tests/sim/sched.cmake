@@ -8,6 +8,10 @@ if(TILERY_TESTS)
 endif()
 tilery_test(sim_farm PLAIN LABEL sim LINKS sim_core SOURCES ${sim_main} ARGS --count 200
   TIMEOUT 300)
+if(TARGET sim_farm)
+  add_test(NAME sim_farm_10000 COMMAND sim_farm --workers 10000)
+  set_tests_properties(sim_farm_10000 PROPERTIES LABELS sim TIMEOUT 300)
+endif()
 
 # Canaries: the same program with one bug of one patch each; the patched file stands before the
 # scheduler's archive, so that its object is the one that is linked.

@@ -255,8 +255,10 @@ static void heal(struct sim *sim)
     sim->healed_us = sim->now_us;
     for (uint32_t i = 0; i < sim->c.workers; i++)
         worker_heal(sim, i);
-    /* Deadlines, pauses and patience with loading, and four times the work. */
-    sim->deadline_us = sim->now_us + 240000000 + 4 * sim->stats.ideal_us;
+    /* Deadlines, pauses and patience with loading, and four times the work; what the fast ones
+     * rendered may have to be verified by the slow ones. */
+    uint64_t work = sim->c.verify > 0.0 ? 40 : 4;
+    sim->deadline_us = sim->now_us + 240000000 + work * sim->stats.ideal_us;
     operate(sim);
 }
 

@@ -3,7 +3,7 @@
  *   sim_farm [--count N] [--first SEED]   N seeds from SEED on (200 from 1)
  *   sim_farm --seconds S [--first SEED]   as many as fit; says how many
  *   sim_farm --seed SEED                  one, with its figures; --trace SEED: and every action
- *   sim_farm --workers N                  N workers on one large job, without faults
+ *   sim_farm --workers N                  N workers on one large job; one in ten has a fault
  *
  * Exit 0: all held. 1: one did not; it is printed. 2: wrong usage.
  */
@@ -107,7 +107,7 @@ static int run_one(uint64_t seed, bool trace)
     return 0;
 }
 
-/* 2^18 cells x 4 blocks; half a minute of work for each thread. */
+/* 2^20 cells x 4 blocks, 20 seconds of work for each thread, faults in the first 15. */
 static int run_large(uint32_t workers)
 {
     double began = seconds_now();
@@ -119,7 +119,9 @@ static int run_large(uint32_t workers)
                            .cost_spread = 0.5,
                            .latency_us = 500,
                            .poison_cell = -1,
-                           .check_every = 1 << 30};
+                           .check_every = 1 << 30,
+                           .fault_us = 15000000,
+                           .fault_every_us = 150000000 / workers + 1};
     c.cost_us = 1e6 * 20.0 * 2.5 * workers / (4.0 * c.cells[0]);
     c.cell_cost = c.cost_us;
     print_config(&c);
