@@ -3,8 +3,8 @@
  * Renders each scene in this process, on a few threads through render_unit(), at 1, 2, 4, ...
  * samples a pixel until the relMSE against a reference is below the targets, and gives the time at
  * which it crossed each (between two steps as if error and time were powers of each other). The
- * reference is ours, but independent: other sampler, other seed, light sampling only (no paths
- * shared between pixels); its own noise, measured from its halves, is taken off.
+ * reference is ours, with another sampler and seed (light sampling alone would miss the glints of
+ * smooth plates for thousands of samples); its own noise, measured from its halves, is taken off.
  *
  * usage: bench_render [--quick] [--json FILE] [--scene FILE]... [--side N] [--threads N]
  *                     [--reference-spp N]
