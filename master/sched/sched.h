@@ -40,9 +40,11 @@
  *   7. No lease is held by a worker that is lost, set aside or quarantined.
  *   8. A worker that renders a suspect alone holds that one lease only.
  *   9. Copies of a unit are on different workers; a check never asks a worker that has voted.
- *  10. A job that is not active (done, failed, cancelled) has no lease; a job is done exactly when
- *      every spot is done and no check is open.
+ *  10. A job that is done, failed or cancelled has no lease. It is done exactly when every spot is
+ *      done, no check is open and no liar's cells wait to be reset.
  *  11. Progress never goes back.
+ *
+ * What is not kept over a restart of the master: blame, pauses, and checks that were open.
  *
  * Method: guided self-scheduling bounds the unit size (Polychronopoulos and Kuck 1987); late copies
  * of the slowest leases follow MapReduce and LATE (Zaharia et al., OSDI 2008).
@@ -67,9 +69,8 @@ struct sched; /* opaque; lives in the arena given to sched_new() */
 /* Every table is sized from these at sched_new. sched_limits_init gives the defaults in brackets.
  */
 struct sched_limits {
-    uint32_t worker_count_max; /* known at once, lost ones included [16,384] */
-    uint32_t
-        job_count_max; /* known at once, finished ones that were not removed included [1,024] */
+    uint32_t worker_count_max;      /* known at once, lost ones included [16,384] */
+    uint32_t job_count_max;         /* known at once, finished and not removed included [1,024] */
     uint32_t lease_count_max;       /* of the whole farm [65,536] */
     uint32_t leases_per_worker_max; /* hard cap on what one worker holds [256] */
     uint32_t suspect_count_max;     /* units remembered because they lost a worker [4,096] */
@@ -207,7 +208,7 @@ enum sched_action_type {
     /* Answers to SCHED_RESULT: one or more runs that cover its cells, in order. */
     SCHED_ACCEPT,  /* .unit is new: journal in the order of these actions, then acknowledge */
     SCHED_COMPARE, /* .unit was accepted before: compare bits, feed SCHED_MISMATCH if they differ */
-    SCHED_VOTE,    /* result of a check: nothing to store, acknowledge */
+    SCHED_VOTE,    /* result of a check, in time or late: nothing to store, acknowledge */
     SCHED_IGNORE,  /* .why: drop .unit, acknowledge */
 
     /* News, for the log, the API and the store. */
