@@ -119,16 +119,18 @@ static enum err make_token(struct private_farm *f)
 static enum err make_folder(struct private_farm *f)
 {
     const char *root = temporary_root();
-    char lock[PATH_BYTES];
+    char lock[PATH_BYTES], fresh[PATH_BYTES];
     sweep_stale(root);
     int bytes = snprintf(f->folder, sizeof f->folder, "%s/" FOLDER_PREFIX "XXXXXX", root);
     if (bytes < 0 || (size_t)bytes >= sizeof f->folder || !mkdtemp(f->folder)) {
         f->folder[0] = '\0';
         return failed(f, root);
     }
+    /* Locked before it has its name: a sweeper never sees it free. */
+    format(fresh, sizeof fresh, "%s/lock.new", f->folder);
     format(lock, sizeof lock, "%s/lock", f->folder);
-    f->lock_fd = open(lock, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-    if (f->lock_fd < 0 || flock(f->lock_fd, LOCK_EX | LOCK_NB) != 0)
+    f->lock_fd = open(fresh, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+    if (f->lock_fd < 0 || flock(f->lock_fd, LOCK_EX | LOCK_NB) != 0 || rename(fresh, lock) != 0)
         return failed(f, lock);
     return make_token(f);
 }
