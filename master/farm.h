@@ -32,7 +32,9 @@ enum {
     FARM_WORKERS_MAX = 10000,     /* known at once, lost ones included */
     FARM_CONNECTIONS_MAX = 12000, /* at once, those before their hello included */
     FARM_HEARTBEAT_MS = 1000,
-    FARM_CHECKPOINT_BYTES = 32 << 20,   /* of journal since the last checkpoint of a job */
+    /* Of journal since the last checkpoint of a job. A segment lives for up to two of these, since
+     * what is under way at a checkpoint ends up behind it: 48 of the 64 MiB promised. */
+    FARM_CHECKPOINT_BYTES = 24 << 20,
     FARM_EVENTS_SHOWN = 20,             /* last lines of a job's log in its report */
     FARM_INLINE_BYTES = 32 << 10,       /* results up to this size are decoded on the loop */
     FARM_PICTURE_BYTES_MAX = INT32_MAX, /* of a film's sums, in KiB: 2 TiB */

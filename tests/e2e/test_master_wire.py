@@ -305,6 +305,42 @@ def test_retry_of_a_cancelled_job_goes_on(farm, job):
     assert report["samples"] == SIDE * SIDE * SPP
 
 
+def test_disk_use_is_bounded(farm):
+    """Twice the film, what waits and 64 MiB, however much goes through."""
+    side, spp, tile, per_block = 256, 2400, 64, 16
+    job = farm.submit(SEED_SCENE, "--spp", spp, "--size", f"{side}x{side}", "--tile", tile)
+    peer = Scripted(farm, threads=4).welcome()
+    peer.send("JobReady", job=1)
+    bodies, most = {}, 0
+    while farm.job(job)["state"] != "done":
+        peer.drain_messages(0.02)
+        for lease in peer.leases:
+            pixels = lease["cell_count"] * tile * tile
+            if pixels not in bodies:
+                bodies[pixels] = tile_encode([0.5 * per_block] * (pixels * 3))
+            peer.send("Result", bodies[pixels], job=1, cell_begin=lease["cell_begin"],
+                      cell_count=lease["cell_count"], block=lease["block"], epoch=lease["epoch"],
+                      samples=pixels * per_block, rays=pixels, render_us=500000,
+                      raw_bytes=pixels * 12)
+        peer.leases = []
+        peer.beat()
+        used = 0
+        for path in (farm.data / "jobs").rglob("*"):
+            try:
+                used += path.stat().st_size if path.is_file() else 0
+            except OSError:
+                pass
+        most = max(most, used)
+    report = farm.job(job)
+    film = side * side * 3 * 8 * 2
+    assert report["bytes"]["results_received"] > 96 << 20
+    assert most <= 2 * film + (64 << 20), (most, film)
+    wait_until(lambda: [p.name for p in (farm.data / "jobs/1").iterdir()] == ["film"],
+               "the journal to go")
+    picture = hashlib.sha256(struct.pack("<f", 0.5) * (side * side * 3)).hexdigest()
+    assert report["image_sha256"] == picture
+
+
 # --- Hello ----------------------------------------------------------------------------------------
 
 
