@@ -194,7 +194,7 @@ static void read_specular(struct material_reader *r)
 static void read_volume(struct material_reader *r)
 {
     const struct json *v = gltf_extension(r->v, "KHR_materials_volume");
-    double color[3] = {1, 1, 1}, thickness = 0, distance = INFINITY;
+    double color[3] = {1, 1, 1}, thickness = 0, distance = HUGE_VAL;
     if (!v || r->out->transmission <= 0)
         return;
     gltf_numbers(r->t, v, "attenuationColor", 3, 1e-3, 1, color);

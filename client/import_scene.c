@@ -258,8 +258,8 @@ static void grow(const double p[3], double low[3], double high[3])
 void import_bounds(const struct import *im, double low[3], double high[3])
 {
     for (int i = 0; i < 3; i++) {
-        low[i] = INFINITY;
-        high[i] = -INFINITY;
+        low[i] = HUGE_VAL;
+        high[i] = -HUGE_VAL;
     }
     for (size_t o = 0; o < im->scene.object_count; o++) {
         const struct scene_object *object = &im->scene.objects[o];
