@@ -43,8 +43,8 @@ static vec3 sample_ggx(vec3 wo, double u, double v)
     return v3_add(v3(r * c, r * s, z), wo);
 }
 
-/* Inverse of erf on (-1, 1): Giles's single-precision polynomials (2010) and two Newton steps. */
-static double erf_inverse(double x)
+/* Inverse of erf on (-1, 1) to seven digits: Giles's single-precision polynomials (2010). */
+static double erf_inverse_rough(double x)
 {
     double limit = 1 - 1e-14;
     x = x < -limit ? -limit : x > limit ? limit : x;
@@ -72,10 +72,14 @@ static double erf_inverse(double x)
         p = 1.00167406 + p * w;
         p = 2.83297682 + p * w;
     }
-    double y = p * x;
-    for (int i = 0; i < 2; i++)
-        y -= (dmath_erf(y) - x) * (0.5 * sqrt(VEC_PI)) * dmath_exp(y * y);
-    return y;
+    return p * x;
+}
+
+/* And to fourteen, by a Newton step. */
+static double erf_inverse(double x)
+{
+    double y = erf_inverse_rough(x);
+    return y - (dmath_erf(y) - x) * (0.5 * sqrt(VEC_PI)) * dmath_exp(y * y);
 }
 
 /* Unnormalised distribution function of the slope along the view, for roughness 1 and a view at
@@ -85,13 +89,16 @@ static double slope_cdf(double x, double cot)
     return cot * (1 + dmath_erf(x)) + dmath_exp(-x * x) / sqrt(VEC_PI);
 }
 
+/* Newton doubles the digits: behind a step of this size there is nothing left to do. */
+static const double SLOPE_STEP_MIN = 1e-6;
+
 /* The slope x in (-inf, cot) with slope_cdf(x) = u slope_cdf(cot): Newton kept within a shrinking
  * bracket. */
 static double sample_slope(double cot, double u)
 {
     double target = u * slope_cdf(cot, cot);
     double low = -6.5, high = cot < 6.5 ? cot : 6.5;
-    double x = erf_inverse(u * (1 + dmath_erf(high)) - 1);
+    double x = erf_inverse_rough(u * (1 + dmath_erf(high)) - 1);
     for (int i = 0; i < 24; i++) {
         if (!(x > low && x < high))
             x = 0.5 * (low + high);
@@ -102,9 +109,9 @@ static double sample_slope(double cot, double u)
             low = x;
         double slope = 2 / sqrt(VEC_PI) * (cot - x) * dmath_exp(-x * x);
         double step = error / slope;
-        if (fabs(step) < 1e-12)
-            return x;
         x -= step;
+        if (fabs(step) < SLOPE_STEP_MIN)
+            return x;
     }
     return 0.5 * (low + high);
 }
@@ -113,12 +120,12 @@ static double sample_slope(double cot, double u)
 static vec3 sample_beckmann(vec3 wo, double u, double v)
 {
     double sine = sqrt(wo.x * wo.x + wo.y * wo.y);
-    double across = erf_inverse(2 * v - 1);
     if (sine < 1e-9 * wo.z) {
         double r = sqrt(-dmath_log(1 - u)), s, c;
         warp_sincos_turn(v, &s, &c);
         return v3(-r * c, -r * s, 1);
     }
+    double across = erf_inverse(2 * v - 1);
     double along = sample_slope(wo.z / sine, u);
     double c = wo.x / sine, s = wo.y / sine;
     return v3(-(along * c - across * s), -(along * s + across * c), 1);
