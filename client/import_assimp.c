@@ -60,6 +60,19 @@ static bool confine(uint64_t cpu_s)
 
 /* --- Reading ------------------------------------------------------------- */
 
+/* True if the JSON of a glTF file has a percent sign, as escaped names do. */
+static bool has_percent(const char *data, size_t bytes)
+{
+    struct buf_reader in = buf_reader_of(data, bytes);
+    if (bytes >= 20 && memcmp(data, "glTF", 4) == 0) {
+        (void)buf_get(&in, 12);
+        uint32_t text_bytes = buf_get_u32(&in);
+        data += 20;
+        bytes = text_bytes < bytes - 20 ? text_bytes : bytes - 20;
+    }
+    return memchr(data, '%', bytes) != NULL;
+}
+
 /* Vertices in integers become floats before assimp sees them. */
 static enum err prepare(struct assimp_import *a)
 {
@@ -69,6 +82,7 @@ static enum err prepare(struct assimp_import *a)
     buf_init(&a->floats);
     if (!a->uv_sets || file_read(a->im->path, UINT64_C(4) << 30, &data, &bytes) != ERR_OK)
         return ERR_OK;
+    a->has_escapes = has_percent(data, bytes);
     enum err e = gltf_floats(a->im, data, bytes, &a->doc, &a->floats);
     mem_free(data);
     return e;
@@ -83,8 +97,8 @@ static const struct aiScene *read_model(struct assimp_import *a)
         return NULL;
     aiSetImportPropertyInteger(settings, AI_CONFIG_IMPORT_NO_SKELETON_MESHES, 1);
     struct aiFileIO files = assimp_files(a);
-    const struct aiScene *scene =
-        aiImportFileExWithProperties(a->im->path, steps, a->doc.bytes ? &files : NULL, settings);
+    const struct aiScene *scene = aiImportFileExWithProperties(
+        a->im->path, steps, a->doc.bytes || a->has_escapes ? &files : NULL, settings);
     aiReleasePropertyStore(settings);
     return scene;
 }

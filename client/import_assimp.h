@@ -28,6 +28,7 @@ struct assimp_import {
     uint32_t *mesh_of;      /* assimp's mesh -> ours, SCENE_NONE: not yet or no face */
     uint32_t *material_of;  /* assimp's material -> ours */
     struct buf doc, floats; /* glTF rewritten with floats, when that was needed */
+    bool has_escapes;       /* glTF: names may have %20, which assimp does not decode */
     double (*emission)[3];  /* of each of assimp's materials: what its area lights emit */
 };
 
@@ -49,7 +50,8 @@ TL_NODISCARD enum err assimp_materials(struct assimp_import *a);
 /* Objects, cameras and lights. */
 TL_NODISCARD enum err assimp_hierarchy(struct assimp_import *a);
 
-/* How assimp opens files: the rewritten document in place of the model. Borrows `a`. */
+/* How assimp opens files: the rewritten document in place of the model, names decoded. Borrows
+ * `a`. */
 struct aiFileIO assimp_files(struct assimp_import *a);
 
 void assimp_matrix(const struct aiMatrix4x4 *m, double out[16]);

@@ -80,10 +80,12 @@ static bool find_contents(const struct assimp_import *a, const char *path, struc
         *o = (struct open_file){.data = (const char *)a->floats.data, .bytes = a->floats.bytes};
         return true;
     }
-    if (file_read(path, FILE_BYTES_MAX, &o->owned, &o->bytes) != ERR_OK)
-        return false;
+    char *decoded = gltf_uri_path(path);
+    bool there = file_read(path, FILE_BYTES_MAX, &o->owned, &o->bytes) == ERR_OK ||
+                 (decoded && file_read(decoded, FILE_BYTES_MAX, &o->owned, &o->bytes) == ERR_OK);
+    mem_free(decoded);
     o->data = o->owned;
-    return true;
+    return there;
 }
 
 static struct aiFile *open_file(struct aiFileIO *io, const char *path, const char *mode)

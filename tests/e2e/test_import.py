@@ -5,6 +5,7 @@ import os
 import pathlib
 import struct
 import subprocess
+import urllib.parse
 
 import pytest
 
@@ -199,6 +200,16 @@ def test_damage_is_named(tmp_path, change, expected):
     _, said = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(**change)), status=3)
     assert expected in said and "nothing written" in said
     assert not (tmp_path / "scene.json").exists()
+
+
+@pytest.mark.parametrize("name", ["a b.bin", "\u00fcn\u00ef \u2764 (1)+%.bin", "%20.bin"])
+def test_names_with_escapes(tmp_path, name):
+    model = triangle_gltf()
+    data = base64.b64decode(model["buffers"][0]["uri"].split(",")[1])
+    (tmp_path / name).write_bytes(data)
+    model["buffers"][0]["uri"] = urllib.parse.quote(name)
+    scene, _ = imported(tmp_path, write(tmp_path, "\u2764 m.gltf", model))
+    assert len(scene["objects"]) == 1
 
 
 def test_points_alone_are_refused(tmp_path):
