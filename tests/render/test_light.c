@@ -19,6 +19,9 @@
 #include "worker/render/warp.h"
 #include "worker/scene/scene_build.h"
 
+/* A surface that takes light from everywhere. */
+static const vec3 nowhere = {0, 0, 0};
+
 static double random_value(uint64_t *state)
 {
     *state += UINT64_C(0x9e3779b97f4a7c15);
@@ -75,7 +78,7 @@ static double density(const struct render_scene *rs, vec3 p, vec3 w)
         if (cosine > 0 && t > 0 && in)
             pdf += light_pdf(&rs->lights, i, p, t * t, cosine);
     }
-    (void)environment_radiance(&rs->lights, w, &sky);
+    (void)environment_radiance(&rs->lights, nowhere, w, &sky);
     return pdf + sky;
 }
 
@@ -114,7 +117,7 @@ static void samples_have_the_density(void **state)
         for (int i = 0; i < SAMPLES; i++) {
             struct light_sample s;
             double u[3] = {random_value(&random), random_value(&random), random_value(&random)};
-            assert_true(light_sample(&rs->lights, p, u[0], u[1], u[2], &s));
+            assert_true(light_sample(&rs->lights, p, nowhere, u[0], u[1], u[2], &s));
             assert_true(fabs(v3_length(s.wi) - 1) < 1e-12);
             double phi = dmath_atan2(s.wi.y, s.wi.x) / (2 * VEC_PI);
             int row = (int)((s.wi.z + 1) / 2 * ROWS);
@@ -144,15 +147,15 @@ static void sky_is_the_same_both_ways(void **state)
     int drawn_count = 0;
     for (int i = 0; i < N; i++) {
         double pdf, a = random_value(&random), b = random_value(&random);
-        uniform += environment_radiance(t, warp_sphere(a, b), &pdf).g * 4 * VEC_PI / N;
+        uniform += environment_radiance(t, nowhere, warp_sphere(a, b), &pdf).g * 4 * VEC_PI / N;
         struct light_sample s;
         double choose = 1 - t->lights[t->environment_light].probability * random_value(&random);
         if (choose >= 1)
             continue;
-        assert_true(light_sample(t, v3(0, 0, 0), choose, a, b, &s));
+        assert_true(light_sample(t, v3(0, 0, 0), nowhere, choose, a, b, &s));
         if (!s.distant)
             continue;
-        rgb seen = environment_radiance(t, s.wi, &pdf);
+        rgb seen = environment_radiance(t, nowhere, s.wi, &pdf);
         assert_true(fabs(pdf / s.pdf - 1) < 1e-6 || fabs(seen.g - s.radiance.g) > 0);
         drawn += s.radiance.g / s.pdf * t->lights[t->environment_light].probability;
         drawn_count++;

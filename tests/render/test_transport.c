@@ -47,13 +47,13 @@ static void furnace_random_walk(void **state)
 static void furnace_mis(void **state)
 {
     (void)state;
-    furnace(JOB_PROFILE_MIS, 0.3, 5e-3);
+    furnace(JOB_PROFILE_MIS, 1e-6, 1e-6);
 }
 
 static void furnace_nee(void **state)
 {
     (void)state;
-    furnace(JOB_PROFILE_NEE, 0.5, 5e-3);
+    furnace(JOB_PROFILE_NEE, 1e-6, 1e-6);
 }
 
 /* Inside a sphere of albedo rho around a point light every point gets the same from every other:

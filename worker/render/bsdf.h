@@ -32,6 +32,7 @@ struct material {
     rgb color; /* times the texture */
     bool twosided;
     bool needs_uv;       /* a texture is looked up, or tangents are wanted */
+    bool transmits;      /* with a density: light from behind counts */
     bool one_lobe;       /* bsdf_sample never looks at u[2] */
     bool is_anisotropic; /* the local x axis follows growing u */
     bool is_delta;       /* every lobe is: next-event estimation has nothing to do */

@@ -49,7 +49,7 @@ static struct microfacet facets_of(double roughness)
 double principled_sheen_albedo(const struct material *m, double cosine)
 {
     double at = (cosine < 0 ? 0 : cosine > 1 ? 1 : cosine) * (PRINCIPLED_SHEEN_TABLE - 1);
-    int i = (int)at;
+    int i = at > 0 ? (int)at : 0; /* not a number: 0 */
     i = i < PRINCIPLED_SHEEN_TABLE - 1 ? i : PRINCIPLED_SHEEN_TABLE - 2;
     double t = at - i;
     return m->sheen_albedo[i] * (1 - t) + m->sheen_albedo[i + 1] * t;

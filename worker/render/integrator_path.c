@@ -49,7 +49,7 @@ static void add_environment(const struct render_scene *scene, struct path *path,
     if (!scene->lights.environment.present)
         return;
     double pdf;
-    rgb sky = environment_radiance(&scene->lights, dir, &pdf);
+    rgb sky = environment_radiance(&scene->lights, path->n, dir, &pdf);
     double weight = found_weight(scene, path, pdf);
     path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky), weight));
 }
@@ -77,6 +77,14 @@ static void add_emission(const struct render_scene *scene, struct path *path,
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
 }
 
+/* The side from which a surface takes light, for light_sample. */
+static vec3 light_side(const struct shade *at)
+{
+    if (at->bsdf.material->transmits)
+        return v3(0, 0, 0);
+    return at->wo.z < 0 ? v3_neg(at->frame.n) : at->frame.n;
+}
+
 /* Next-event estimation: a shadow ray to a point drawn on a light. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
                            uint32_t index, const struct shade *at, struct choices *choices)
@@ -86,7 +94,7 @@ static void connect_lights(const struct render_scene *scene, struct render_scrat
     const struct path *path = &w->paths[index];
     const double *u = path->light_u;
     double which = scene->lights.count > 1 ? choose(choices, path, CHOICE_LIGHT) : 0;
-    if (!light_sample(&scene->lights, s->p, which, u[0], u[1], &light))
+    if (!light_sample(&scene->lights, s->p, light_side(at), which, u[0], u[1], &light))
         return;
     vec3 wi = frame_to_local(&at->frame, light.wi);
     if (!shade_is_consistent(at, light.wi, wi.z))
@@ -147,6 +155,7 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     path->eta2 *= sample.eta2;
     path->pdf = delta ? 0 : sample.pdf;
     path->org = at->surface.p;
+    path->n = light_side(at);
     /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
     return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices));
 }

@@ -114,14 +114,21 @@ rgb environment_lookup(const struct environment *e, double u, double v)
 
 static double environment_pdf(const struct environment *e, double u, double v, double sine)
 {
-    if (!e->texture)
-        return 1 / (4 * VEC_PI);
     if (!(sine > 0))
         return 0;
     return distribution_2d_pdf(&e->image, u, v) / (2 * VEC_PI * VEC_PI * sine);
 }
 
-rgb environment_radiance(const struct light_table *t, vec3 w, double *pdf)
+/* Density of directions to a sky of one colour, as sample_environment draws them. */
+static double constant_sky_pdf(vec3 n, vec3 w)
+{
+    if (v3_abs_max(n) == 0)
+        return 1 / (4 * VEC_PI);
+    double cosine = v3_dot(n, w);
+    return cosine > 0 ? cosine * VEC_INV_PI : 0;
+}
+
+rgb environment_radiance(const struct light_table *t, vec3 n, vec3 w, double *pdf)
 {
     const struct environment *e = &t->environment;
     *pdf = 0;
@@ -130,7 +137,7 @@ rgb environment_radiance(const struct light_table *t, vec3 w, double *pdf)
     double probability =
         t->environment_light == SCENE_NONE ? 0 : t->lights[t->environment_light].probability;
     if (!e->texture) {
-        *pdf = probability / (4 * VEC_PI);
+        *pdf = probability * constant_sky_pdf(n, w);
         return e->factor;
     }
     const double *m = e->to_local;
@@ -144,16 +151,25 @@ rgb environment_radiance(const struct light_table *t, vec3 w, double *pdf)
     return environment_lookup(e, u, v);
 }
 
-static bool sample_environment(const struct environment *e, double u, double v,
+static bool sample_constant_sky(const struct environment *e, vec3 n, double u, double v,
+                                struct light_sample *s)
+{
+    s->wi = warp_sphere(u, v);
+    if (v3_abs_max(n) > 0) {
+        frame f = frame_of(n);
+        s->wi = frame_to_world(&f, warp_cosine_hemisphere(u, v));
+    }
+    s->pdf = constant_sky_pdf(n, s->wi);
+    s->radiance = e->factor;
+    return s->pdf > 0;
+}
+
+static bool sample_environment(const struct environment *e, vec3 n, double u, double v,
                                struct light_sample *s)
 {
     s->distant = true;
-    if (!e->texture) {
-        s->wi = warp_sphere(u, v);
-        s->pdf = 1 / (4 * VEC_PI);
-        s->radiance = e->factor;
-        return true;
-    }
+    if (!e->texture)
+        return sample_constant_sky(e, n, u, v, s);
     double x, y, sine;
     double density = distribution_2d_sample(&e->image, u, v, &x, &y);
     s->wi = environment_direction(e, x, y, &sine);
@@ -164,7 +180,7 @@ static bool sample_environment(const struct environment *e, double u, double v,
     return true;
 }
 
-bool light_sample(const struct light_table *t, vec3 p, double choose, double u, double v,
+bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, double u, double v,
                   struct light_sample *s)
 {
     if (t->count == 0)
@@ -193,7 +209,7 @@ bool light_sample(const struct light_table *t, vec3 p, double choose, double u, 
         any = s->distant = s->delta = true;
         break;
     case LIGHT_ENVIRONMENT:
-        any = sample_environment(&t->environment, u, v, s);
+        any = sample_environment(&t->environment, n, u, v, s);
         break;
     }
     s->pdf *= l->probability;

@@ -66,9 +66,10 @@ struct light_sample {
     double pdf;   /* per steradian, times the probability of the light; delta: the latter only */
 };
 
-/* A direction to a light from p; `choose` picks the light, u and v the point. False when nothing
- * arrives from there. */
-bool light_sample(const struct light_table *t, vec3 p, double choose, double u, double v,
+/* A direction to a light from p on a surface that scatters to the side of the unit normal n, or, if
+ * n is zero, anywhere: a sky of one colour is drawn in proportion to the cosine there. `choose`
+ * picks the light, u and v the point. False when nothing arrives from there. */
+bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, double u, double v,
                   struct light_sample *s);
 
 /* Density with which light_sample from `p` draws the direction of a point at distance squared
@@ -82,7 +83,7 @@ rgb light_emission(const struct light *l, double b1, double b2);
 /* Radiance of the sky at a point of its map. */
 rgb environment_lookup(const struct environment *e, double u, double v);
 
-/* Radiance of the sky in a direction of scene space, and the density of light_sample. */
-rgb environment_radiance(const struct light_table *t, vec3 w, double *pdf);
+/* Radiance of the sky in a direction of scene space, and the density of light_sample with n. */
+rgb environment_radiance(const struct light_table *t, vec3 n, vec3 w, double *pdf);
 
 #endif

@@ -113,6 +113,7 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     path->y = y;
     path->radiance = rgb_grey(0);
     path->beta = rgb_grey(1);
+    path->n = v3(0, 0, 0);
     path->eta2 = path->carried = 1;
     path->pdf = 0;
     path->passes = 0;

@@ -16,7 +16,7 @@ static uint32_t wrap_index(double i, uint32_t size, enum scene_wrap wrap)
 {
     double n = size;
     if (wrap == SCENE_WRAP_CLAMP)
-        return i <= 0 ? 0 : i >= n - 1 ? size - 1 : (uint32_t)i;
+        return !(i > 0) ? 0 : i >= n - 1 ? size - 1 : (uint32_t)i;
     double period = wrap == SCENE_WRAP_MIRROR ? 2 * n : n;
     double r = i - floor_of(i / period) * period;
     if (r >= n && wrap == SCENE_WRAP_MIRROR)

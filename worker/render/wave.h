@@ -30,7 +30,7 @@ struct path {
     double eta2;       /* product of the index ratios that beta was scaled by, undone in roulette */
     double carried;    /* what beta is multiplied by in roulette: throughput set aside by reuse */
     double pdf;        /* with which the last direction was drawn; 0: by a delta lobe, or camera */
-    vec3 org;          /* where the last direction left from, for the pdf of lights */
+    vec3 org, n;       /* where the last direction left from, and light_sample's n there */
     double light_u[2]; /* where on a light the next vertex looks */
     uint32_t passes;   /* surfaces gone straight through, by alpha */
     uint32_t x, y;     /* pixel of the full picture */
