@@ -15,7 +15,8 @@ typedef void (*occluded4_fn)(RTCScene scene, struct RTCRay *ray, void *arguments
 
 #define CALLS(X)                                                                                   \
     X(rtcNewDevice)                                                                                \
-    X(rtcReleaseDevice) X(rtcNewScene) X(rtcReleaseScene) X(rtcCommitScene) X(rtcSetSceneFlags)    \
+    X(rtcReleaseDevice)                                                                            \
+    X(rtcNewScene) X(rtcReleaseScene) X(rtcCommitScene) X(rtcSetSceneFlags)                        \
         X(rtcSetSceneBuildQuality) X(rtcNewGeometry) X(rtcReleaseGeometry) X(rtcCommitGeometry)    \
             X(rtcSetSharedGeometryBuffer) X(rtcAttachGeometry) X(rtcSetGeometryInstancedScene)     \
                 X(rtcSetGeometryTransform) X(rtcSetDeviceMemoryMonitorFunction)
@@ -36,10 +37,10 @@ struct trace_peer {
     atomic_int_fast64_t bytes;
 };
 
-double trace_seconds(void)
+double trace_seconds(int threads)
 {
     struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
+    clock_gettime(threads == 1 ? CLOCK_PROCESS_CPUTIME_ID : CLOCK_MONOTONIC, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
@@ -131,11 +132,10 @@ static void attach_mesh(struct trace_peer *p, RTCScene scene, const struct accel
     attach(p, scene, g);
 }
 
-double trace_peer_build(struct trace_peer *p, const struct trace_scene *s,
-                        enum trace_peer_quality quality, bool robust)
+void trace_peer_build(struct trace_peer *p, const struct trace_scene *s,
+                      enum trace_peer_quality quality, bool robust)
 {
     drop_scenes(p);
-    double start = trace_seconds();
     p->scene = new_scene(p, quality, robust);
     attach_mesh(p, p->scene, &s->views[0]);
     if (s->input.object_count > 1) {
@@ -153,7 +153,6 @@ double trace_peer_build(struct trace_peer *p, const struct trace_scene *s,
         attach(p, p->scene, g);
     }
     p->call.rtcCommitScene(p->scene);
-    return trace_seconds() - start;
 }
 
 int64_t trace_peer_bytes(const struct trace_peer *p)

@@ -21,9 +21,9 @@ struct trace_peer_hit {
 struct trace_peer *trace_peer_new(const char *library, uint32_t threads);
 void trace_peer_free(struct trace_peer *p);
 
-/* Builds, replacing what was built. Returns seconds. */
-double trace_peer_build(struct trace_peer *p, const struct trace_scene *s,
-                        enum trace_peer_quality quality, bool robust);
+/* Builds, replacing what was built. */
+void trace_peer_build(struct trace_peer *p, const struct trace_scene *s,
+                      enum trace_peer_quality quality, bool robust);
 
 /* Bytes that Embree holds, without the vertices and indices, which it shares. */
 int64_t trace_peer_bytes(const struct trace_peer *p);
@@ -35,7 +35,8 @@ bool trace_peer_occluded(struct trace_peer *p, const float ray[8]);
 size_t trace_peer_count(struct trace_peer *p, const struct trace_rays *r, size_t begin, size_t end,
                         bool shadow);
 
-/* Monotonic seconds. */
-double trace_seconds(void);
+/* Seconds: of one thread's work the processor time of the whole process, which a busy machine
+ * disturbs less; of several threads' the time on the clock. */
+double trace_seconds(int threads);
 
 #endif
