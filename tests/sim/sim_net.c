@@ -158,7 +158,8 @@ static void packet_event(struct sim *sim, struct sim_event *e)
     struct sim_worker *w = &sim->workers[c->worker];
     if (!c->open[e->b] || c->reset[e->b])
         return;
-    if (c->stalled[e->b]) {
+    bool arrived = e->c != 0; /* before the process was stopped: no stall can hold it */
+    if (c->stalled[e->b] && !arrived) {
         e->data->next = NULL;
         if (c->held_tail[e->b])
             c->held_tail[e->b]->next = e->data;
@@ -171,6 +172,7 @@ static void packet_event(struct sim *sim, struct sim_event *e)
     if (e->b == SIDE_WORKER && w->stopped) {
         /* A stopped process reads nothing until it continues. */
         struct sim_event again = *e;
+        again.c = 1;
         e->data = NULL;
         sim_push(sim, w->stop_end_us, again);
         return;
