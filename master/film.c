@@ -409,13 +409,16 @@ static double picture_mean(const struct film *f)
     return total / ((double)f->pixels * FILM_CHANNELS);
 }
 
-/* Sums over pixels that the estimate is made of. */
-struct error_sums {
-    double term, term_squared, mean_variance;
+/* What the pixels of one square of the full picture, ERROR_SQUARE pixels a side, add up to. Pixels
+ * of a square may share paths, so their errors go together; squares are independent. */
+struct error_square {
+    double term;       /* of relMSE */
+    double difference; /* of the halves' means, signed, weighted so that its square is a variance */
 };
+enum { ERROR_SQUARE = 16 };
 
 static void add_pixel_error(const struct film *f, uint64_t i, double na, double nb, double floor_m,
-                            struct error_sums *sums)
+                            struct error_square *square)
 {
     double weight = na * nb / ((na + nb) * (na + nb));
     double term = 0, mean_difference = 0;
@@ -427,30 +430,66 @@ static void add_pixel_error(const struct film *f, uint64_t i, double na, double 
             term += weight * difference * difference / below / FILM_CHANNELS;
         mean_difference += difference / FILM_CHANNELS;
     }
-    sums->term += term;
-    sums->term_squared += term * term;
-    sums->mean_variance += weight * mean_difference * mean_difference;
+    square->term += term;
+    square->difference += sqrt(weight) * mean_difference;
 }
 
-void film_error_estimate(const struct film *f, struct film_error *out)
+/* Which squares the crop meets. */
+struct error_grid {
+    uint32_t column0, row0, columns;
+    size_t count;
+};
+
+static struct error_grid error_grid_of(const struct job_crop *crop)
 {
-    *out = (struct film_error){0};
-    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++)
-        if (f->next[0][cell] == 0 || f->next[1][cell] == 0)
-            return;
-    double mean = picture_mean(f);
-    struct error_sums sums = {0};
-    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
-        double na = (double)half_samples(f, 0, cell), nb = (double)half_samples(f, 1, cell);
-        for (uint64_t i = f->cell_offset[cell]; i < f->cell_offset[cell + 1]; i++)
-            add_pixel_error(f, i, na, nb, 0.01 * mean * mean, &sums);
+    struct error_grid g = {.column0 = crop->x / ERROR_SQUARE, .row0 = crop->y / ERROR_SQUARE};
+    g.columns = (crop->x + crop->width - 1) / ERROR_SQUARE - g.column0 + 1;
+    uint32_t rows = (crop->y + crop->height - 1) / ERROR_SQUARE - g.row0 + 1;
+    g.count = (size_t)g.columns * rows;
+    return g;
+}
+
+static void add_cell_error(const struct film *f, uint32_t cell, double floor_m,
+                           const struct error_grid *squares, struct error_square *sums)
+{
+    double na = (double)half_samples(f, 0, cell), nb = (double)half_samples(f, 1, cell);
+    struct grid_rect r = grid_cell(f->grid, cell);
+    uint64_t i = f->cell_offset[cell];
+    for (uint32_t y = r.y; y < r.y + r.height; y++) {
+        for (uint32_t x = r.x; x < r.x + r.width; x++) {
+            size_t column = x / ERROR_SQUARE - squares->column0;
+            size_t row = y / ERROR_SQUARE - squares->row0;
+            add_pixel_error(f, i++, na, nb, floor_m, &sums[row * squares->columns + column]);
+        }
     }
-    double pixels = (double)f->pixels;
-    /* E[d^4] = 3 s^4 and Var(d^2) = 2 s^4 for a normal d: two thirds of what was summed. */
-    double relmse_error = 1.96 * sqrt(sums.term_squared * 2.0 / 3.0) / pixels;
-    double mean_error = 1.96 * sqrt(sums.mean_variance) / pixels;
-    double relmse = sums.term / pixels;
-    *out = (struct film_error){
+}
+
+/* Student's 97.5 % quantile (Abramowitz and Stegun 26.7.5, two terms); few squares know little. */
+static double student_quantile(double degrees)
+{
+    const double z = 1.959964, z3 = z * z * z, z5 = z3 * z * z;
+    return z + (z3 + z) / (4 * degrees) + (5 * z5 + 16 * z3 + 3 * z) / (96 * degrees * degrees);
+}
+
+/* The picture's error and interval from the sums of its squares. */
+static struct film_error error_of_squares(const struct error_square *sums, size_t count,
+                                          double pixels, double mean)
+{
+    double term = 0, spread = 0, mean_variance = 0;
+    for (size_t i = 0; i < count; i++)
+        term += sums[i].term;
+    for (size_t i = 0; i < count; i++) {
+        double apart = sums[i].term - term / (double)count;
+        spread += apart * apart;
+        mean_variance += sums[i].difference * sums[i].difference;
+    }
+    /* One square knows nothing of its spread: as large as itself. */
+    double variance = count > 1 ? spread * (double)count / (double)(count - 1) : term * term;
+    double degrees = count > 1 ? (double)(count - 1) : 1;
+    double relmse = term / pixels;
+    double relmse_error = student_quantile(degrees) * sqrt(variance) / pixels;
+    double mean_error = student_quantile((double)count) * sqrt(mean_variance) / pixels;
+    return (struct film_error){
         .known = isfinite(relmse) && isfinite(mean),
         .relmse = relmse,
         .relmse_low = relmse > relmse_error ? relmse - relmse_error : 0,
@@ -459,6 +498,23 @@ void film_error_estimate(const struct film *f, struct film_error *out)
         .mean_low = mean - mean_error,
         .mean_high = mean + mean_error,
     };
+}
+
+void film_error_estimate(const struct film *f, struct film_error *out)
+{
+    *out = (struct film_error){0};
+    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++)
+        if (f->next[0][cell] == 0 || f->next[1][cell] == 0)
+            return;
+    struct error_grid squares = error_grid_of(&f->grid->crop);
+    struct error_square *sums = mem_calloc(squares.count, sizeof *sums);
+    if (!sums)
+        return;
+    double mean = picture_mean(f);
+    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++)
+        add_cell_error(f, cell, 0.01 * mean * mean, &squares, sums);
+    *out = error_of_squares(sums, squares.count, (double)f->pixels, mean);
+    mem_free(sums);
 }
 
 void film_samples(const struct film *f, uint64_t *spp_min, double *spp_mean, uint64_t *spp_max)

@@ -71,15 +71,16 @@ void film_picture(const struct film *f, float *rgb);
 /* What the halves say about the picture's error; all 0 and false when a pixel has no sample in
  * one of the halves. relMSE as in ARCHITECTURE.md, its reference replaced by the picture
  * itself and (x - r)^2 by its unbiased estimate from the halves, w (A - B)^2 with
- * w = nA nB / (nA + nB)^2. The interval takes the terms as normal (variance of a square from
- * its fourth moment). */
+ * w = nA nB / (nA + nB)^2. Pixels of one 16 x 16 square of the full picture may share paths, so the
+ * intervals come from the spread of the squares' sums, as a bootstrap over them would give; they
+ * do not depend on --tile. */
 struct film_error {
     bool known;
     double relmse, relmse_low, relmse_high; /* 95 % */
     double mean, mean_low, mean_high;       /* of all pixels and channels, 95 % */
 };
 
-/* Reader. Needs no memory beyond the stack. */
+/* Reader. Unknown when memory for the squares' sums cannot be had. */
 void film_error_estimate(const struct film *f, struct film_error *out);
 
 /* Fewest, mean and most samples of a pixel. Reader. */
