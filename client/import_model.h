@@ -10,6 +10,7 @@
 #include "common/diag.h"
 #include "common/image_file.h"
 #include "common/job_spec.h"
+#include "common/name_table.h"
 #include "common/scene.h"
 
 /* Where an image came from, so that the same file is read once and `tilery import` can refer to
@@ -30,6 +31,7 @@ struct import {
     struct scene scene;
     size_t image_capacity, texture_capacity, material_capacity, mesh_capacity, object_capacity,
         light_capacity;
+    struct name_table material_names, texture_names; /* in use */
     struct import_source *sources;
     size_t source_count, source_capacity;
     bool keep_bytes; /* of pictures inside the model, so that they can be written as they are */

@@ -12,6 +12,8 @@ enum err import_init(struct import *im, const char *path, struct diag_list *prob
 {
     *im = (struct import){.path = path, .folder = file_folder(path), .problems = problems};
     scene_init(&im->scene);
+    name_table_init(&im->material_names);
+    name_table_init(&im->texture_names);
     return im->folder ? ERR_OK : ERR_NOMEM;
 }
 
@@ -23,6 +25,8 @@ void import_release(struct import *im)
         mem_free(im->sources[i].data);
     }
     mem_free(im->sources);
+    name_table_release(&im->material_names);
+    name_table_release(&im->texture_names);
     mem_free(im->folder);
     scene_release(&im->scene);
 }
@@ -155,28 +159,22 @@ static char *copy_name(const char *name, const char *stem, size_t number)
     return mem_strndup(name, bytes);
 }
 
-/* Two of one name would be one in a scene file. Names are few, so a search does. */
-static char *distinct_material_name(const struct scene *s, const char *name)
+/* Two of one name would be one in a scene file: the later gets a number. */
+static char *distinct_name(struct name_table *names, const char *name, const char *stem)
 {
-    char *made = copy_name(name, "material", s->material_count);
-    for (size_t i = 0; made && i < s->material_count; i++)
-        if (strcmp(s->materials[i].name, made) == 0) {
-            char *other = mem_sprintf("%s.%zu", made, s->material_count);
-            mem_free(made);
-            return other;
-        }
-    return made;
-}
-
-static char *distinct_texture_name(const struct scene *s, const char *name)
-{
-    char *made = copy_name(name, "texture", s->texture_count);
-    for (size_t i = 0; made && i < s->texture_count; i++)
-        if (strcmp(s->textures[i].name, made) == 0) {
-            char *other = mem_sprintf("%s.%zu", made, s->texture_count);
-            mem_free(made);
-            return other;
-        }
+    size_t number = names->count;
+    uint32_t index;
+    char *made = copy_name(name, stem, number);
+    while (made && name_table_find(names, made, strlen(made)) != UINT32_MAX) {
+        mem_free(made);
+        char *base = copy_name(name, stem, number);
+        made = base ? mem_sprintf("%s.%zu", base, number++) : NULL;
+        mem_free(base);
+    }
+    if (made && name_table_add(names, made, strlen(made), &index) != ERR_OK) {
+        mem_free(made);
+        made = NULL;
+    }
     return made;
 }
 
@@ -186,7 +184,7 @@ enum err import_add_material(struct import *im, struct scene_material *material,
     struct scene *s = &im->scene;
     TL_TRY(make_room(im, (void **)&s->materials, s->material_count, &im->material_capacity,
                      sizeof *s->materials, SCENE_MATERIALS_MAX, "materials"));
-    material->name = distinct_material_name(s, name);
+    material->name = distinct_name(&im->material_names, name, "material");
     if (!material->name)
         return ERR_NOMEM;
     put_index(s->material_count, out);
@@ -200,7 +198,7 @@ enum err import_add_texture(struct import *im, struct scene_texture *texture, co
     struct scene *s = &im->scene;
     TL_TRY(make_room(im, (void **)&s->textures, s->texture_count, &im->texture_capacity,
                      sizeof *s->textures, SCENE_TEXTURES_MAX, "textures"));
-    texture->name = distinct_texture_name(s, name);
+    texture->name = distinct_name(&im->texture_names, name, "texture");
     if (!texture->name)
         return ERR_NOMEM;
     put_index(s->texture_count, out);
