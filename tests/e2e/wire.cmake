@@ -4,5 +4,5 @@ if(TILERY_TESTS AND TARGET tilery-worker)
     SOURCES ${PROJECT_SOURCE_DIR}/tests/e2e/wire_fixture.c
             ${PROJECT_SOURCE_DIR}/tests/render/render_kit.c)
   tilery_script_test(worker_wire LABEL e2e TIMEOUT 300
-    COMMAND python3 ${PROJECT_SOURCE_DIR}/tests/e2e/test_worker_wire.py)
+    COMMAND /usr/bin/python3 ${PROJECT_SOURCE_DIR}/tests/e2e/test_worker_wire.py)
 endif()
