@@ -346,15 +346,12 @@ void accel_stats_get(const struct accel *a, struct accel_stats *out)
 bool accel_ray(const struct accel *a, const struct ray *ray, struct trace_ray *out, double *tmin,
                double *tmax)
 {
-    double dir[3], scale;
-    if (!isfinite(ray->org[0]) || !isfinite(ray->org[1]) || !isfinite(ray->org[2]))
+    if (!isfinite(ray->org[0]) || !isfinite(ray->org[1]) || !isfinite(ray->org[2]) ||
+        !(ray->tmin < ray->tmax) ||
+        !trace_ray_init(ray->org, ray->dir, 1.0, a->scene_tree.reach, out))
         return false;
-    if (!(ray->tmin < ray->tmax) || !trace_scale(ray->dir, dir, &scale))
-        return false;
-    trace_ray_init(ray->org, dir, scale, a->scene_tree.reach, out);
-    double back = 1.0 / scale;
-    *tmin = ray->tmin * back;
-    *tmax = ray->tmax * back;
+    *tmin = ray->tmin * out->unscale;
+    *tmax = ray->tmax * out->unscale;
     return true;
 }
 
@@ -374,13 +371,13 @@ bool accel_instance_ray(const struct accel *a, uint32_t object, const struct tra
                         struct trace_ray *out, double *rescale)
 {
     const struct accel_object *o = &a->objects[object];
-    double org[3], moved[3], dir[3];
+    double org[3], dir[3];
     transform_point(o->from_scene, ray->org, org);
-    transform_vector(o->from_scene, ray->dir, moved);
+    transform_vector(o->from_scene, ray->dir, dir);
     if (!isfinite(org[0]) || !isfinite(org[1]) || !isfinite(org[2]) ||
-        !trace_scale(moved, dir, rescale))
+        !trace_ray_init(org, dir, ray->scale, a->mesh_trees[o->mesh].reach, out))
         return false;
-    trace_ray_init(org, dir, ray->scale * *rescale, a->mesh_trees[o->mesh].reach, out);
+    *rescale = out->rescale;
     return true;
 }
 

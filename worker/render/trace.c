@@ -15,41 +15,6 @@ static double power_of_two(int e)
     return x;
 }
 
-bool trace_scale(const double dir[3], double scaled[3], double *scale)
-{
-    double largest = 0.0;
-    for (int k = 0; k < 3; k++) {
-        if (!isfinite(dir[k]))
-            return false;
-        largest = exact_max(largest, exact_abs(dir[k]));
-    }
-    if (largest == 0.0)
-        return false;
-    uint64_t bits;
-    memcpy(&bits, &largest, sizeof bits);
-    int exponent = (int)(bits >> 52) - 1023;
-    if (exponent < -1000) /* keeps the scale itself in range */
-        exponent = -1000;
-    if (exponent > 1000)
-        exponent = 1000;
-    *scale = power_of_two(-exponent);
-    for (int k = 0; k < 3; k++)
-        scaled[k] = dir[k] * *scale;
-    return true;
-}
-
-/* The axis of the largest component; the later one of equals. */
-static inline uint32_t largest_axis(const double dir[3])
-{
-    uint64_t bits[3];
-    memcpy(bits, dir, sizeof bits);
-    for (int k = 0; k < 3; k++)
-        bits[k] &= INT64_MAX;
-    uint32_t z = bits[1] >= bits[0] ? 1 : 0;
-    uint64_t largest = bits[1] >= bits[0] ? bits[1] : bits[0];
-    return bits[2] >= largest ? 2 : z;
-}
-
 /* The float side, all axes at once. */
 static inline void slabs_ready(struct trace_ray *r, __m128 org, __m128 dir, float pad_size)
 {
@@ -72,24 +37,40 @@ static inline void slabs_ready(struct trace_ray *r, __m128 org, __m128 dir, floa
         r->row[k] = 2 * k + (back >> k & 1);
 }
 
-void trace_ray_init(const double org[3], const double dir[3], double scale, double reach,
+bool trace_ray_init(const double org[3], const double dir[3], double outer, double reach,
                     struct trace_ray *out)
 {
     static const uint32_t after[3] = {1, 2, 0};
-    uint32_t z = largest_axis(dir), x = after[z], y = after[x];
-    double far = 0.0;
+    const uint64_t infinite = UINT64_C(0x7ff) << 52;
+    /* As integers, sizes order like the numbers; what is not finite is largest. */
+    uint64_t size_bits[3];
+    memcpy(size_bits, dir, sizeof size_bits);
+    for (int k = 0; k < 3; k++)
+        size_bits[k] &= INT64_MAX;
+    uint32_t z = size_bits[1] >= size_bits[0] ? 1 : 0;
+    uint64_t largest = size_bits[1] >= size_bits[0] ? size_bits[1] : size_bits[0];
+    z = size_bits[2] >= largest ? 2 : z;
+    largest = size_bits[2] >= largest ? size_bits[2] : largest;
+    if (largest == 0 || largest >= infinite)
+        return false;
+    int exponent = (int)(largest >> 52) - 1023;
+    exponent = exponent < -1000 ? -1000 : exponent > 1000 ? 1000 : exponent; /* 2^-e is finite */
+    double scale = power_of_two(-exponent), far = 0.0;
+    uint32_t x = after[z], y = after[x];
     for (uint32_t k = 0; k < 3; k++) {
         out->org[k] = org[k];
-        out->dir[k] = dir[k];
+        out->dir[k] = dir[k] * scale;
         far = exact_max(far, exact_abs(org[k]));
     }
+    out->rescale = scale;
+    out->unscale = power_of_two(exponent);
+    out->scale = outer * scale;
     out->axis[0] = x;
     out->axis[1] = y;
     out->axis[2] = z;
     out->shear[0] = dir[x] / dir[z];
     out->shear[1] = dir[y] / dir[z];
-    out->shear[2] = 1.0 / dir[z];
-    out->scale = scale;
+    out->shear[2] = 1.0 / out->dir[z];
     double size = far + reach;
     out->slack = 0x1p-30 * size;
     for (int k = 0; k < 3; k++)
@@ -103,6 +84,7 @@ void trace_ray_init(const double org[3], const double dir[3], double scale, doub
     out->filter_floor = (float)(256.0 * 0x1p-48 * size * size + 0x1p-140);
     /* The pad is rounded twice: a ninth unit covers that. */
     slabs_ready(out, _mm_setr_ps((float)org[0], (float)org[1], (float)org[2], 0.0f),
-                _mm_setr_ps((float)dir[0], (float)dir[1], (float)dir[2], 0.0f),
+                _mm_setr_ps((float)out->dir[0], (float)out->dir[1], (float)out->dir[2], 0.0f),
                 9.0f * 0x1p-24f * (float)size);
+    return true;
 }

@@ -17,8 +17,9 @@
 
 struct trace_ray {
     double org[3], dir[3];
-    double shear[3];  /* Woop's Sx, Sy, Sz */
-    double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R */
+    double shear[3];         /* Woop's Sx, Sy, Sz */
+    double slack;            /* by which a hit point may leave its triangle's box: 2^-30 R */
+    double rescale, unscale; /* what dir was scaled by here, and its inverse */
     double scale;     /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
     uint32_t axis[3]; /* permuted: the largest component last */
     uint32_t row[3];  /* row of bvh_node.bounds with the near planes; row ^ 1 has the far ones */
@@ -40,11 +41,9 @@ struct trace_best {
     double v, w, det; /* with a leaf: the edge functions of vertices 1 and 2, and their sum */
 };
 
-/* Scales a direction; false if it is zero or not finite. */
-bool trace_scale(const double dir[3], double scaled[3], double *scale);
-
-/* `dir` already scaled by `scale`; `reach` is the tree's. */
-void trace_ray_init(const double org[3], const double dir[3], double scale, double reach,
+/* Readies a ray for a tree of that reach: scales `dir`, which the caller has scaled by `outer`
+ * already. False if `dir` is zero or not finite; then *out is garbage. */
+bool trace_ray_init(const double org[3], const double dir[3], double outer, double reach,
                     struct trace_ray *out);
 
 #endif
