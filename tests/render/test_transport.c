@@ -221,16 +221,16 @@ static void block_means(const struct scene *s, struct job_spec spec, int seeds, 
 static void sharing_changes_no_mean(void **state)
 {
     (void)state;
-    enum { SIDE = 32, BLOCKS = SIDE / 4 * SIDE / 4 * 3, SEEDS = 10 };
+    enum { SIDE = 24, BLOCKS = SIDE / 4 * SIDE / 4 * 3, SEEDS = 10 };
     static double mean[2][BLOCKS], variance[2][BLOCKS];
     struct scene s;
     scene_init(&s);
     zoo(&s);
-    struct job_spec spec = kit_spec(SIDE, 64);
+    struct job_spec spec = kit_spec(SIDE, 32);
     spec.max_depth = 6;
     block_means(&s, spec, SEEDS, mean[0], variance[0]);
     spec.profile = JOB_PROFILE_NEE;
-    spec.spp = 128;
+    spec.spp = 64;
     block_means(&s, spec, SEEDS, mean[1], variance[1]);
     double worst = 0, sum2 = 0;
     for (int b = 0; b < BLOCKS; b++) {
