@@ -68,9 +68,8 @@ static enum err split_glb(struct gltf *t, const char *data, size_t bytes, const 
     return *text ? ERR_OK : broken_glb(t->im, "it has no JSON");
 }
 
-static enum err fill_table(struct gltf *t, enum gltf_table_id id, const char *key)
+static enum err fill_table(struct gltf *t, enum gltf_table_id id, const struct json *v)
 {
-    const struct json *v = json_get_member(t->g.root, key);
     struct gltf_table *table = &t->tables[id];
     if (!v)
         return ERR_OK;
@@ -92,13 +91,15 @@ static enum err fill_tables(struct gltf *t)
     static const char *const keys[GLTF_TABLE_COUNT] = {
         [GLTF_ACCESSORS] = "accessors", [GLTF_BUFFER_VIEWS] = "bufferViews",
         [GLTF_BUFFERS] = "buffers",     [GLTF_CAMERAS] = "cameras",
-        [GLTF_IMAGES] = "images",       [GLTF_MATERIALS] = "materials",
-        [GLTF_MESHES] = "meshes",       [GLTF_NODES] = "nodes",
-        [GLTF_SAMPLERS] = "samplers",   [GLTF_SCENES] = "scenes",
-        [GLTF_TEXTURES] = "textures"};
+        [GLTF_IMAGES] = "images",       [GLTF_LIGHTS] = "lights",
+        [GLTF_MATERIALS] = "materials", [GLTF_MESHES] = "meshes",
+        [GLTF_NODES] = "nodes",         [GLTF_SAMPLERS] = "samplers",
+        [GLTF_SCENES] = "scenes",       [GLTF_TEXTURES] = "textures"};
     enum err worst = ERR_OK;
     for (int i = 0; i < GLTF_TABLE_COUNT; i++) {
-        enum err e = fill_table(t, (enum gltf_table_id)i, keys[i]);
+        const struct json *holder =
+            i == GLTF_LIGHTS ? gltf_extension(t->g.root, "KHR_lights_punctual") : t->g.root;
+        enum err e = fill_table(t, (enum gltf_table_id)i, json_get_member(holder, keys[i]));
         if (e == ERR_NOMEM)
             return e;
         worst = e != ERR_OK ? e : worst;
@@ -146,8 +147,14 @@ const struct json *gltf_reference(struct gltf *t, const struct json *v, const ch
                                   enum gltf_table_id table, uint32_t *index)
 {
     const struct json *member = json_get_member(v, key);
+    return member ? gltf_entry(t, member, table, index) : NULL;
+}
+
+const struct json *gltf_entry(struct gltf *t, const struct json *member, enum gltf_table_id table,
+                              uint32_t *index)
+{
     uint64_t i;
-    if (!member || !json_value_uint(&t->g, member, 0, UINT32_MAX - 1, &i))
+    if (!json_value_uint(&t->g, member, 0, UINT32_MAX - 1, &i))
         return NULL;
     if (i >= t->tables[table].count) {
         json_get_problem(&t->g, DIAG_ERROR, member, "bad-index", NULL,

@@ -24,6 +24,7 @@ enum gltf_table_id {
     GLTF_BUFFERS,
     GLTF_CAMERAS,
     GLTF_IMAGES,
+    GLTF_LIGHTS, /* of KHR_lights_punctual */
     GLTF_MATERIALS,
     GLTF_MESHES,
     GLTF_NODES,
@@ -63,6 +64,9 @@ void gltf_close(struct gltf *t);
  * a problem). */
 const struct json *gltf_reference(struct gltf *t, const struct json *v, const char *key,
                                   enum gltf_table_id table, uint32_t *index);
+/* The same of the member's value. */
+const struct json *gltf_entry(struct gltf *t, const struct json *member, enum gltf_table_id table,
+                              uint32_t *index);
 /* A member of `extensions`, or NULL. */
 const struct json *gltf_extension(const struct json *v, const char *name);
 

@@ -196,8 +196,7 @@ static void check_attributes(struct check *c, const struct json *list, uint64_t 
 {
     for (const struct json *a = list ? list->first : NULL; a; a = a->next) {
         uint32_t index;
-        if (a->key && gltf_reference(c->t, list, a->key, GLTF_ACCESSORS, &index) &&
-            c->counts[index] < vertex_count)
+        if (gltf_entry(c->t, a, GLTF_ACCESSORS, &index) && c->counts[index] < vertex_count)
             refuse(c, a, "the attribute has fewer elements than the mesh has vertices");
     }
 }

@@ -42,8 +42,7 @@ static void mark_attributes(struct rewrite *r, const struct json *list)
 {
     for (const struct json *a = list ? list->first : NULL; a; a = a->next) {
         uint32_t index, component = 5126;
-        if (!a->key || !wants_floats(a->key) ||
-            !gltf_reference(r->t, list, a->key, GLTF_ACCESSORS, &index))
+        if (!a->key || !wants_floats(a->key) || !gltf_entry(r->t, a, GLTF_ACCESSORS, &index))
             continue;
         const struct json *accessor = r->t->tables[GLTF_ACCESSORS].items[index];
         (void)json_get_u32(&r->t->g, accessor, "componentType", 0, UINT32_MAX, &component);

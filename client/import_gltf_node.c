@@ -227,19 +227,13 @@ static enum err take_light(struct walk *w, const struct place *p)
     struct gltf *t = w->t;
     const struct json *node = t->tables[GLTF_NODES].items[p->node];
     const struct json *use = gltf_extension(node, "KHR_lights_punctual");
-    const struct json *all = gltf_extension(t->g.root, "KHR_lights_punctual");
-    const struct json *list = json_get_member(all, "lights");
-    uint32_t index = UINT32_MAX;
-    if (!use || !json_get_u32(&t->g, use, "light", 0, UINT32_MAX - 1, &index))
-        return ERR_OK;
-    const struct json *v = list && list->type == JSON_ARRAY ? list->first : NULL;
-    while (v && v->index != index)
-        v = v->next;
     struct scene_light light;
-    if (!v) {
-        json_get_problem(&t->g, DIAG_ERROR, use, "bad-index", NULL, "no such light");
-        return ERR_INPUT;
-    }
+    uint32_t index;
+    if (!use)
+        return ERR_OK;
+    const struct json *v = gltf_reference(t, use, "light", GLTF_LIGHTS, &index);
+    if (!v)
+        return ERR_OK;
     return make_light(t, v, p->world, &light) ? import_add_light(t->im, &light) : ERR_OK;
 }
 

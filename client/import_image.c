@@ -6,31 +6,44 @@
 
 #define IMAGE_BYTES_MAX (UINT64_C(1) << 30)
 
-static const struct import_source *find(const struct import *im, const char *key,
-                                        enum image_use use)
+/* Sources are numbered as their names, which begin with the use. */
+static char *name_of(const char *key, enum image_use use)
 {
-    for (size_t i = 0; i < im->source_count; i++) {
-        const struct import_source *s = &im->sources[i];
-        if (s->use == use && strcmp(s->key, key) == 0)
-            return s;
-    }
-    return NULL;
+    return mem_sprintf("%d%s", (int)use, key);
+}
+
+/* NULL in *out: not asked for yet. */
+static enum err find(const struct import *im, const char *key, enum image_use use,
+                     const struct import_source **out)
+{
+    char *name = name_of(key, use);
+    if (!name)
+        return ERR_NOMEM;
+    uint32_t index = name_table_find(&im->source_names, name, strlen(name));
+    mem_free(name);
+    *out = index == UINT32_MAX ? NULL : &im->sources[index];
+    return ERR_OK;
 }
 
 static enum err remember(struct import *im, const char *key, const char *path, enum image_use use,
                          uint32_t image)
 {
+    uint32_t index;
     if (!mem_grow((void **)&im->sources, im->source_count, &im->source_capacity,
                   sizeof *im->sources))
         return ERR_NOMEM;
-    struct import_source s = {
-        .key = mem_strdup(key), .path = path ? mem_strdup(path) : NULL, .use = use, .image = image};
-    if (!s.key || (path && !s.path)) {
-        mem_free(s.key);
-        mem_free(s.path);
-        return ERR_NOMEM;
+    char *name = name_of(key, use), *copy = path ? mem_strdup(path) : NULL;
+    enum err e = name && (copy || !path)
+                     ? name_table_add(&im->source_names, name, strlen(name), &index)
+                     : ERR_NOMEM;
+    mem_free(name);
+    if (e != ERR_OK) {
+        mem_free(copy);
+        return e;
     }
-    im->sources[im->source_count++] = s;
+    TL_ASSERT(index == im->source_count);
+    im->sources[im->source_count++] =
+        (struct import_source){.path = copy, .use = use, .image = image};
     return ERR_OK;
 }
 
@@ -62,7 +75,8 @@ static enum err decode(struct import *im, const void *data, size_t bytes, const 
 
 enum err import_image_file(struct import *im, const char *path, enum image_use use, uint32_t *out)
 {
-    const struct import_source *known = find(im, path, use);
+    const struct import_source *known;
+    TL_TRY(find(im, path, use, &known));
     if (known) {
         *out = known->image;
         return ERR_OK;
@@ -101,7 +115,8 @@ static enum err keep(struct import_source *s, const void *data, size_t bytes)
 enum err import_image_bytes(struct import *im, const char *key, const void *data, size_t bytes,
                             enum image_use use, uint32_t *out)
 {
-    const struct import_source *known = find(im, key, use);
+    const struct import_source *known;
+    TL_TRY(find(im, key, use, &known));
     uint32_t image = SCENE_NONE;
     if (!known) {
         char *shown = mem_sprintf("%s%s", im->path, key);

@@ -16,7 +16,6 @@
 /* Where an image came from, so that the same file is read once and `tilery import` can refer to
  * it instead of writing it again. */
 struct import_source {
-    char *key;  /* what was asked for: path, or "#n" inside the model; NULL: made here */
     char *path; /* a file beside the model; NULL: inside the model */
     enum image_use use;
     uint32_t image;      /* SCENE_NONE: it cannot be had, which has been said */
@@ -32,6 +31,7 @@ struct import {
     size_t image_capacity, texture_capacity, material_capacity, mesh_capacity, object_capacity,
         light_capacity;
     struct name_table material_names, texture_names; /* in use */
+    struct name_table source_names;                  /* of sources: what was asked for */
     struct import_source *sources;
     size_t source_count, source_capacity;
     bool keep_bytes; /* of pictures inside the model, so that they can be written as they are */

@@ -14,19 +14,20 @@ enum err import_init(struct import *im, const char *path, struct diag_list *prob
     scene_init(&im->scene);
     name_table_init(&im->material_names);
     name_table_init(&im->texture_names);
+    name_table_init(&im->source_names);
     return im->folder ? ERR_OK : ERR_NOMEM;
 }
 
 void import_release(struct import *im)
 {
     for (size_t i = 0; i < im->source_count; i++) {
-        mem_free(im->sources[i].key);
         mem_free(im->sources[i].path);
         mem_free(im->sources[i].data);
     }
     mem_free(im->sources);
     name_table_release(&im->material_names);
     name_table_release(&im->texture_names);
+    name_table_release(&im->source_names);
     mem_free(im->folder);
     scene_release(&im->scene);
 }

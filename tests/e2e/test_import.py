@@ -5,6 +5,7 @@ import os
 import pathlib
 import struct
 import subprocess
+import time
 import urllib.parse
 
 import pytest
@@ -210,6 +211,20 @@ def test_names_with_escapes(tmp_path, name):
     model["buffers"][0]["uri"] = urllib.parse.quote(name)
     scene, _ = imported(tmp_path, write(tmp_path, "\u2764 m.gltf", model))
     assert len(scene["objects"]) == 1
+
+
+@pytest.mark.parametrize("change", [
+    {"materials": [{"name": f"m{i}"} for i in range(60000)]},
+    {"images": [{"uri": f"{i}.png"} for i in range(20000)],
+     "textures": [{"source": i} for i in range(20000)],
+     "materials": [{"normalTexture": {"index": i}} for i in range(20000)]},
+    {"meshes": [{"primitives": [{"attributes": {"POSITION": 0} | {f"_{i}": 1 for i in range(100000)}}]}]},
+])
+def test_many_of_everything_take_no_square_of_time(tmp_path, change):
+    name = write(tmp_path, "m.gltf", triangle_gltf(**change))
+    start = time.monotonic()
+    imported(tmp_path, name)
+    assert time.monotonic() - start < 15  # 1 s alone; the square of it was minutes
 
 
 def test_points_alone_are_refused(tmp_path):
