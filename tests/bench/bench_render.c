@@ -179,7 +179,7 @@ static double crossing(const struct step *steps, int count, double target)
         double share = log(steps[i - 1].error / target) / log(steps[i - 1].error / steps[i].error);
         return steps[i - 1].seconds * pow(steps[i].seconds / steps[i - 1].seconds, share);
     }
-    return NAN;
+    return (double)NAN;
 }
 
 static void report(FILE *json, const char *name, int threads, double target, double seconds,
