@@ -34,10 +34,10 @@ enum accel_object_type { ACCEL_TRIANGLES, ACCEL_SPHERE, ACCEL_INSTANCE };
 /* The index of an object in accel_input is the `object` of a hit. */
 struct accel_object {
     enum accel_object_type type;
-    uint32_t mesh;           /* TRIANGLES (vertices already in scene space) and INSTANCE */
+    uint32_t mesh;            /* TRIANGLES (vertices already in scene space) and INSTANCE */
     double center[3], radius; /* SPHERE */
-    double to_scene[12];     /* INSTANCE: 3x4 row-major, mesh space to scene space, invertible */
-    double from_scene[12];   /* its inverse, as the caller computed it */
+    double to_scene[12];      /* INSTANCE: 3x4 row-major, mesh space to scene space, invertible */
+    double from_scene[12];    /* its inverse, as the caller computed it */
 };
 
 struct accel_input {
@@ -59,8 +59,9 @@ enum accel_isa { ACCEL_ISA_AUTO, ACCEL_ISA_SSE2, ACCEL_ISA_AVX2, ACCEL_ISA_AVX51
 
 struct accel_options {
     enum job_builder builder;
-    enum job_intersector intersector; /* moller-trumbore: the source report's test, epsilon and all */
-    enum job_precision precision;     /* fast: float decides */
+    enum job_intersector
+        intersector;              /* moller-trumbore: the source report's test, epsilon and all */
+    enum job_precision precision; /* fast allows less than exact; both give the exact answer */
     enum accel_isa isa;
 };
 
@@ -88,8 +89,8 @@ struct ray {
 /* object == SCENE_NONE: no hit, and nothing else is set. */
 struct hit {
     double t;
-    double b1, b2;    /* triangles: weights of vertices 1 and 2; spheres: 0 */
-    double ng[3];     /* not unit; triangles (v1 - v0) x (v2 - v0) in scene space, spheres outward */
+    double b1, b2; /* triangles: weights of vertices 1 and 2; spheres: 0 */
+    double ng[3];  /* not unit; triangles (v1 - v0) x (v2 - v0) in scene space, spheres outward */
     uint32_t object, primitive; /* primitive: triangle of the mesh; 0 for a sphere */
 };
 
@@ -103,7 +104,8 @@ void accel_closest_batch(const struct accel *a, const struct ray *rays, size_t c
 void accel_occluded_batch(const struct accel *a, const struct ray *rays, size_t count,
                           uint8_t *occluded);
 
-/* The kernel that would run, for reports and tests: "sse2", "avx2", "avx512". */
+/* The kernel that would run, for reports and tests: "sse2", "avx2", "avx512"; "plain" without SIMD
+ * for builder none and moller-trumbore. */
 const char *accel_isa_name(const struct accel *a);
 
 #endif
