@@ -13,13 +13,24 @@
 typedef void (*intersect4_fn)(RTCScene scene, struct RTCRayHit *ray, void *arguments);
 typedef void (*occluded4_fn)(RTCScene scene, struct RTCRay *ray, void *arguments);
 
+/* clang-format off: it moves a list of this kind to the right at every run */
 #define CALLS(X)                                                                                   \
     X(rtcNewDevice)                                                                                \
     X(rtcReleaseDevice)                                                                            \
-    X(rtcNewScene) X(rtcReleaseScene) X(rtcCommitScene) X(rtcSetSceneFlags)                        \
-        X(rtcSetSceneBuildQuality) X(rtcNewGeometry) X(rtcReleaseGeometry) X(rtcCommitGeometry)    \
-            X(rtcSetSharedGeometryBuffer) X(rtcAttachGeometry) X(rtcSetGeometryInstancedScene)     \
-                X(rtcSetGeometryTransform) X(rtcSetDeviceMemoryMonitorFunction)
+    X(rtcNewScene)                                                                                 \
+    X(rtcReleaseScene)                                                                             \
+    X(rtcCommitScene)                                                                              \
+    X(rtcSetSceneFlags)                                                                            \
+    X(rtcSetSceneBuildQuality)                                                                     \
+    X(rtcNewGeometry)                                                                              \
+    X(rtcReleaseGeometry)                                                                          \
+    X(rtcCommitGeometry)                                                                           \
+    X(rtcSetSharedGeometryBuffer)                                                                  \
+    X(rtcAttachGeometry)                                                                           \
+    X(rtcSetGeometryInstancedScene)                                                                \
+    X(rtcSetGeometryTransform)                                                                     \
+    X(rtcSetDeviceMemoryMonitorFunction)
+/* clang-format on */
 
 struct calls {
 #define CALL_FIELD(name) __typeof__(&(name)) name;
