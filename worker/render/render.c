@@ -118,8 +118,11 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     path->pdf = 0;
     path->passes = 0;
     w->reuse[index].state = REUSE_NONE;
-    double u[SAMPLER_SET_VALUES], weight_x, weight_y;
-    sampler_set(&own, WAVE_SET_CAMERA, u);
+    double u[SAMPLER_SET_VALUES] = {0}, weight_x, weight_y;
+    /* Only paths that sample lights want the second half. */
+    bool lights =
+        spec->integrator == JOB_INTEGRATOR_PATH || spec->integrator == JOB_INTEGRATOR_DIRECT;
+    sampler_some(&own, WAVE_SET_CAMERA, lights ? 4 : 2, u);
     double film_x = x + 0.5 + film_filter_sample(&scene->filter, u[0], &weight_x);
     double film_y = y + 0.5 + film_filter_sample(&scene->filter, u[1], &weight_y);
     path->filter_weight = weight_x * weight_y;

@@ -1,5 +1,7 @@
 #include "worker/render/sampler.h"
 
+#include <string.h>
+
 #include "worker/render/sobol.h"
 
 static const uint16_t primes[SAMPLER_HALTON_DIMENSIONS] = {
@@ -172,16 +174,26 @@ static double hash_value(uint64_t key, uint64_t index, uint32_t dimension)
     return (double)(sampler_mix(h ^ index * UINT64_C(0xd1342543de82ef95)) >> 11) * unit_53;
 }
 
-void sampler_set(const struct sampler *s, uint32_t set, double u[SAMPLER_SET_VALUES])
+void sampler_some(const struct sampler *s, uint32_t set, uint32_t count, double u[])
 {
     if (s->type == JOB_SAMPLER_SOBOL) {
-        sobol_set(s->key, s->index, set, u);
+        double all[SAMPLER_SET_VALUES];
+        sobol_set(s->key, s->index, set, all);
+        memcpy(u, all, count * sizeof *u);
         return;
     }
-    for (uint32_t k = 0; k < SAMPLER_SET_VALUES; k++) {
+    for (uint32_t k = 0; k < count; k++) {
         uint32_t dimension = set * SAMPLER_SET_VALUES + k;
         u[k] = s->type == JOB_SAMPLER_HALTON && dimension < SAMPLER_HALTON_DIMENSIONS
                    ? halton_value(s->key, s->index, dimension)
                    : hash_value(s->key, s->index, dimension);
     }
+}
+
+void sampler_set(const struct sampler *s, uint32_t set, double u[SAMPLER_SET_VALUES])
+{
+    if (s->type == JOB_SAMPLER_SOBOL)
+        sobol_set(s->key, s->index, set, u);
+    else
+        sampler_some(s, set, SAMPLER_SET_VALUES, u);
 }

@@ -33,6 +33,9 @@ enum { SAMPLER_SET_VALUES = 4, SAMPLER_HALTON_DIMENSIONS = 256 };
 struct sampler sampler_of(enum job_sampler type, uint64_t seed, uint32_t x, uint32_t y,
                           uint32_t half, uint64_t index);
 
+/* The first `count` values of a set, at most four. */
+void sampler_some(const struct sampler *s, uint32_t set, uint32_t count, double u[]);
+
 /* The four values of a set. */
 void sampler_set(const struct sampler *s, uint32_t set, double u[SAMPLER_SET_VALUES]);
 
