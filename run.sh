@@ -13,9 +13,14 @@ build=$top/build/release
 # shellcheck disable=SC2086 # lists of words
 install_packages $packages_build
 if [ ! -f "$build/build.ninja" ]; then
-    cmake -S "$top" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DTILERY_TESTS=OFF >&2
+    cmake -S "$top" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DTILERY_TESTS=OFF >/dev/null
+    echo "building into $build (about a minute the first time)" >&2
 fi
-cmake --build "$build" >&2
+cmake --build "$build" >"$build/build.log" 2>&1 || {
+    tail -n 40 "$build/build.log" >&2
+    echo "run.sh: the build failed: $build/build.log" >&2
+    exit 5
+}
 
 case ${1-} in
 --setup)
