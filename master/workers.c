@@ -2,7 +2,8 @@
  *
  * A connection has no worker until its Hello was accepted. A worker whose connection is
  * gone stays in the table as lost; the same process (same instance number) takes its
- * place again, others get a new id. */
+ * place again, others get a new id. After a restart of the master the table is empty: then a
+ * process gets the id back that this farm gave it before, as its Hello says. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
@@ -281,6 +282,28 @@ static bool forget_one(struct farm *f)
     return true;
 }
 
+/* The id that this farm gave the process in an earlier life, if it can have it; else 0. One
+ * slightly beyond worker_next is true as well: a kill can come before that was on disk. */
+static uint64_t id_of_before(const struct farm *f, const tilery_Hello *h)
+{
+    const char *digits = h->last_id + 1;
+    if (h->instance == 0 || h->last_farm != f->id || h->last_id[0] != 'w' || digits[0] < '1')
+        return 0;
+    uint64_t id = 0, limit = f->worker_next + FARM_WORKERS_MAX;
+    for (; *digits >= '0' && *digits <= '9' && id < limit; digits++)
+        id = id * 10 + (uint64_t)(*digits - '0');
+    return *digits || id >= limit || id > UINT32_MAX || farm_worker(f, id) ? 0 : id;
+}
+
+/* Puts it where its id belongs; there is room. */
+static void insert_worker(struct farm *f, struct worker *w)
+{
+    size_t at = f->worker_count++;
+    for (; at > 0 && f->workers[at - 1]->id > w->id; at--)
+        f->workers[at] = f->workers[at - 1];
+    f->workers[at] = w;
+}
+
 /* The worker of this process, or a new one; NULL: no room. */
 static struct worker *worker_of(struct farm *f, const tilery_Hello *h)
 {
@@ -296,9 +319,14 @@ static struct worker *worker_of(struct farm *f, const tilery_Hello *h)
         return NULL;
     }
     w->farm = f;
-    w->id = f->worker_next++;
+    w->id = id_of_before(f, h);
     w->instance = h->instance;
-    f->workers[f->worker_count++] = w;
+    if (w->id == 0)
+        w->id = f->worker_next;
+    insert_worker(f, w);
+    if (w->id < f->worker_next)
+        return w;
+    f->worker_next = w->id + 1;
     if (store_put_value(f->store, "worker_next", &f->worker_next, sizeof f->worker_next) != ERR_OK)
         log_warn("workers", "worker number not stored id=w%" PRIu64, w->id);
     return w;

@@ -98,6 +98,7 @@ static const struct text_field text_fields[] = {
     TEXT(HELLO, hello, host),
     TEXT(HELLO, hello, token),
     TEXT(HELLO, hello, cpu),
+    TEXT(HELLO, hello, last_id),
     {FRAME_HELLO, offsetof(struct message, hello.tags), sizeof((struct message *)0)->hello.tags[0],
      LIMIT_TAGS},
     TEXT(WELCOME, welcome, worker_id),

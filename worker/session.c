@@ -26,6 +26,7 @@ struct session {
     struct work *work;
     uv_timer_t heartbeat, reconnect;
     uint64_t instance, farm;
+    char id[sizeof((tilery_Welcome *)0)->worker_id]; /* in that farm; empty: none yet */
     bool welcomed_once, registered, draining, goodbye, over, closing;
     uint32_t lost_count;    /* attempts since the last registration */
     uint64_t drain_lost_ms; /* when a draining worker lost its master; 0: it has not */
@@ -82,6 +83,8 @@ static void say_hello(struct session *s)
         MESSAGE_TEXT(h->tags[i], o->tags[i]);
     h->tags_count = (pb_size_t)o->tag_count;
     h->instance = s->instance;
+    MESSAGE_TEXT(h->last_id, s->id);
+    h->last_farm = s->farm;
     enum err e = conn_send(s->conn, &m, NULL);
     if (e != ERR_OK)
         conn_close(s->conn, e);
@@ -160,6 +163,7 @@ static void on_welcome(struct session *s, const tilery_Welcome *w)
     s->drain_lost_ms = 0;
     bool same_farm = s->welcomed_once && s->farm == w->farm;
     s->farm = w->farm;
+    (void)snprintf(s->id, sizeof s->id, "%s", w->worker_id);
     log_info("session", "registered master=%s id=%s same_farm=%d results=%" PRIu32,
              conn_peer(s->conn), w->worker_id, same_farm, work_result_count(s->work));
     if (!s->welcomed_once)

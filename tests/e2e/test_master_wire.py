@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from farm import Farm, SEED_SCENE, SLOW, wait_until
+from farm import Farm, SEED_SCENE, SLOW, samples, wait_until
 from wire_peer import HEADER, Closed, Peer, frame
 
 MASK = (1 << 64) - 1
@@ -410,6 +410,48 @@ def test_same_process_keeps_its_id(farm, job):
     other.close()
     render_all(farm, second, job)
     assert farm.job(job)["image_sha256"] == expected_sha()
+
+
+def test_id_outlives_the_master(farm):
+    """A process gets back the id that this farm gave it; nobody else ever gets it."""
+    first = Scripted(farm, instance=11)
+    number = first.expect("Welcome")["farm"]
+    Scripted(farm, instance=12).welcome()
+    # What is acknowledged after them finds their numbers on disk.
+    farm.submit(SEED_SCENE, "--spp", SPP, "--size", "16x16")
+    farm.kill_master()
+    farm.start_master()
+    new = Scripted(farm, instance=13).welcome()
+    assert new.id not in ("w1", "w2")
+    assert Scripted(farm, instance=12, last_id="w2", last_farm=number).welcome().id == "w2"
+    assert Scripted(farm, instance=11, last_id="w1", last_farm=number).welcome().id == "w1"
+    # Neither another process, nor one of another farm, nor a text that is no id gets one.
+    taken = {"w1", "w2", new.id}
+    for last_id, last_farm in (("w1", number), ("w2", number ^ 1), ("w0", number), ("w01", number),
+                               ("w", number), ("", number), ("w1x", number), ("x1", number),
+                               ("w4294967296", number), ("w999999999999999", number)):
+        other = Scripted(farm, last_id=last_id, last_farm=last_farm).welcome()
+        assert other.id not in taken and int(other.id[1:]) < 100
+        taken.add(other.id)
+    # One that was given shortly before a kill, and whose number was not on disk yet.
+    ahead = f"w{int(other.id[1:]) + 5}"
+    assert Scripted(farm, last_id=ahead, last_farm=number).welcome().id == ahead
+    assert Scripted(farm).welcome().id == f"w{int(ahead[1:]) + 1}"
+    listed = [w["id"] for w in farm.request("GET", "/api/v1/workers")[1]["items"]]
+    assert sorted(listed) == sorted(taken | {ahead, f"w{int(ahead[1:]) + 1}"})
+
+
+def test_one_process_counts_once_over_restarts(farm):
+    """A real worker keeps its id when the master is killed, and the report counts it once."""
+    job = farm.submit(SEED_SCENE, "--spp", samples(1000), "--size", "128x128", "--tile", 16)
+    worker = farm.worker()
+    for share in (0.1, 0.3):
+        farm.wait_progress(job, share)
+        farm.kill_master()
+        farm.start_master()
+        wait_until(lambda: states(farm).get(worker.id, "lost") != "lost", "the worker's return")
+    assert list(states(farm)) == [worker.id]
+    assert farm.wait_job(job)["workers"] == 1
 
 
 # --- Losses ----------------------------------------------------------------------------------------

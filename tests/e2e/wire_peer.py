@@ -23,7 +23,8 @@ NAMES = {number: name for name, number in TYPES.items()}
 FIELDS = {
     "Hello": {1: ("protocol_min", "u"), 2: ("protocol_max", "u"), 3: ("build_id", "s"),
               4: ("determinism_id", "b"), 5: ("name", "s"), 6: ("host", "s"), 7: ("threads", "u"),
-              8: ("tags", "r"), 9: ("token", "s"), 10: ("cpu", "s"), 11: ("instance", "u")},
+              8: ("tags", "r"), 9: ("token", "s"), 10: ("cpu", "s"), 11: ("instance", "u"),
+              12: ("last_id", "s"), 13: ("last_farm", "u")},
     "Welcome": {1: ("protocol", "u"), 2: ("worker_id", "s"), 3: ("heartbeat_ms", "u"),
                 4: ("farm", "u")},
     "Refuse": {1: ("reason", "u"), 2: ("text", "s")},
