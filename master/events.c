@@ -89,7 +89,7 @@ bool events_next(const struct events *e, uint64_t *sequence, uint64_t job, struc
     }
     while (*sequence < e->newest) {
         const struct event *event = &e->ring[++*sequence % EVENTS_KEPT];
-        if (job != 0 && event->job != job)
+        if (job != 0 && event->job != EVENTS_ALL_JOBS && event->job != job)
             continue;
         bool lost = !event->type || !event->data;
         buf_printf(out, "id: %" PRIu64 "-%" PRIu64 "\nevent: %s\ndata: %s\n\n", e->epoch, *sequence,

@@ -11,6 +11,9 @@
 
 enum { EVENTS_KEPT = 4096, EVENTS_BYTES_KEPT = 1 << 20 };
 
+/* For events_add: concerns readers of any job. */
+#define EVENTS_ALL_JOBS UINT64_MAX
+
 struct events; /* opaque */
 
 /* `wake` is called after each new event. */

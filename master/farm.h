@@ -312,7 +312,8 @@ void workers_tick(struct farm *f);
 enum sched_worker_state workers_state(const struct farm *f, const struct worker *w,
                                       struct sched_worker_info *info);
 TL_NODISCARD enum err workers_drain(struct farm *f, struct worker *w);
-/* A `workers` event about this one. */
+/* A `workers` event about this one, for those who follow the farm (once it is in quarantine, for
+ * those who follow a job too). */
 void workers_changed(struct farm *f, struct worker *w);
 
 #endif

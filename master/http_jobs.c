@@ -542,8 +542,12 @@ static void get_picture(struct request *r, enum picture_format format)
     const char *partial = request_query(r, "partial");
     if (job->rec.state != JOB_STATE_DONE && !(partial && strcmp(partial, "1") == 0)) {
         request_problem(r, MHD_HTTP_CONFLICT, "unfinished",
-                        "the job is %s, %.1f %% done; ?partial=1 gives what there is",
-                        job_state_names[job->rec.state], 100 * jobs_done_share(r->farm, job));
+                        job_state_ended(job->rec.state)
+                            ? "the job was %s at %.1f %%; there is no finished picture"
+                            : "the job is %s, %.1f %% done; its picture is not finished",
+                        job->rec.state == JOB_STATE_FAILED ? "ended by a failure"
+                                                           : job_state_names[job->rec.state],
+                        100 * jobs_done_share(r->farm, job));
         return;
     }
     struct later *later = request_later(r);

@@ -16,6 +16,7 @@
 enum {
     QUEUE_BYTES_EARLY = 64 * 1024,
     CHUNKS_QUEUED_BYTES_MAX = 256 << 20, /* chunks waiting for one worker's socket */
+    UNITS_UNKNOWN = -1,
 };
 
 /* A chunk that a worker asked for while much was queued for it, or while it is being read. */
@@ -53,18 +54,17 @@ enum sched_worker_state workers_state(const struct farm *f, const struct worker 
                                                                   : info->state;
 }
 
-void workers_changed(struct farm *f, struct worker *w)
+/* An event about one worker: to followers of the farm, or of any job too (`all`). */
+static void put_event(struct farm *f, struct worker *w, const char *state, int64_t units_returned,
+                      bool all)
 {
-    struct sched_worker_info info;
-    enum sched_worker_state state = workers_state(f, w, &info);
-    w->told = state;
     struct buf b;
     buf_init(&b);
     buf_printf(&b, "[{\"id\":\"w%" PRIu64 "\",\"name\":", w->id);
     json_put_text(&b, w->name);
-    buf_printf(&b, ",\"state\":\"%s\",\"job\":", sched_worker_state_name(state));
-    if (info.job)
-        buf_printf(&b, "\"j%" PRIu64 "\"", info.job);
+    buf_printf(&b, ",\"state\":\"%s\",\"units_returned\":", state);
+    if (units_returned >= 0)
+        buf_printf(&b, "%" PRId64, units_returned);
     else
         buf_printf(&b, "null");
     buf_printf(&b, ",\"threads\":%" PRIu32 ",\"note\":", w->threads);
@@ -72,8 +72,25 @@ void workers_changed(struct farm *f, struct worker *w)
     buf_printf(&b, "}]");
     buf_put_u8(&b, '\0');
     if (buf_status(&b) == ERR_OK)
-        events_add(f->events, 0, "workers", (const char *)b.data);
+        events_add(f->events, all ? EVENTS_ALL_JOBS : 0, "workers", (const char *)b.data);
     buf_release(&b);
+}
+
+/* It joined, left, was lost, set aside, or drains: what followers of a job want to know. */
+static void tell(struct farm *f, struct worker *w, const char *state, uint32_t units_returned)
+{
+    struct sched_worker_info info;
+    w->told = workers_state(f, w, &info);
+    put_event(f, w, state, units_returned, true);
+}
+
+void workers_changed(struct farm *f, struct worker *w)
+{
+    struct sched_worker_info info;
+    enum sched_worker_state state = workers_state(f, w, &info), before = w->told;
+    w->told = state;
+    bool liar = state == SCHED_WORKER_QUARANTINED && before != state;
+    put_event(f, w, sched_worker_state_name(state), liar ? UNITS_UNKNOWN : 0, liar);
 }
 
 /* A line in the log of every job that is being rendered. */
@@ -91,11 +108,14 @@ void workers_news(struct farm *f, const struct sched_action *a)
         return;
     if (a->type == SCHED_DRAINED) {
         log_info("workers", "drained id=w%" PRIu64, w->id);
+        workers_changed(f, w);
     } else if (a->state == SCHED_WORKER_SET_ASIDE) {
         uint64_t now = uv_now(f->loop);
         uint64_t left = a->until_ms > now ? (a->until_ms - now + 999) / 1000 : 0;
         (void)snprintf(w->note, sizeof w->note, "failed often; set aside for %" PRIu64 " s", left);
         log_warn("workers", "set aside id=w%" PRIu64 " seconds=%" PRIu64, w->id, left);
+        if (w->conn) /* else it is being lost, which comes next */
+            tell(f, w, "set-aside", a->losses);
     } else if (a->state == SCHED_WORKER_GONE) {
         char text[160];
         (void)snprintf(text, sizeof text,
@@ -104,10 +124,11 @@ void workers_news(struct farm *f, const struct sched_action *a)
                        w->id, w->name, a->losses);
         if (a->losses > 0)
             tell_jobs(f, text);
+        tell(f, w, w->said_goodbye ? "left" : "lost", a->losses);
     } else {
         w->note[0] = '\0';
+        workers_changed(f, w);
     }
-    workers_changed(f, w);
 }
 
 /* --- Sending ------------------------------------------------------------ */
@@ -404,7 +425,7 @@ static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
     (void)snprintf(line, sizeof line, "w%" PRIu64 " (%s) joined, %" PRIu32 " threads", w->id,
                    w->name, w->threads);
     tell_jobs(f, line);
-    workers_changed(f, w);
+    tell(f, w, "joined", 0);
 }
 
 /* --- Messages ----------------------------------------------------------- */
@@ -419,7 +440,7 @@ static void heartbeat(struct farm *f, struct worker *w, const tilery_Heartbeat *
         w->draining = true;
         struct sched_event event = {.type = SCHED_WORKER_DRAIN, .worker = w->id};
         farm_feed(f, &event);
-        workers_changed(f, w);
+        tell(f, w, "draining", 0);
     }
     if (m->rtt_us > 0 && m->rtt_us != w->rtt_us) {
         w->rtt_us = m->rtt_us;
@@ -438,6 +459,8 @@ static void job_ready(struct farm *f, struct worker *w, const tilery_JobReady *m
         s->scene_sent_bytes += m->received_bytes;
         if (job->ready_us == 0)
             job->ready_us = farm_wall_us();
+        if (m->received_bytes > 0)
+            jobs_store_record(f, job); /* once per worker and job: a restart must not forget it */
     }
     struct sched_event event = {.type = SCHED_JOB_READY, .worker = w->id, .job = m->job};
     farm_feed(f, &event);
@@ -550,8 +573,7 @@ static void detach(struct farm *f, struct worker *w, enum err why)
              err_name(why));
     struct sched_event event = {.type = left ? SCHED_WORKER_LEFT : SCHED_WORKER_LOST,
                                 .worker = w->id};
-    farm_feed(f, &event);
-    workers_changed(f, w);
+    farm_feed(f, &event); /* answers with the news of it */
 }
 
 static void on_close(void *ctx, struct conn *c, enum err why)
@@ -633,7 +655,7 @@ enum err workers_drain(struct farm *f, struct worker *w)
     struct message m = {.type = FRAME_DRAIN};
     MESSAGE_TEXT(m.drain.reason, "asked for");
     send_to(w, &m, NULL);
-    workers_changed(f, w);
+    tell(f, w, "draining", 0);
     return ERR_OK;
 }
 

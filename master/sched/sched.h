@@ -261,7 +261,7 @@ struct sched_action {
     enum sched_why why;
     enum sched_worker_state state; /* WORKER_NEWS */
     uint64_t until_ms;             /* WORKER_NEWS: end of the pause, in the caller's clock */
-    uint32_t losses;               /* UNIT_LOST; WORKER_NEWS LOST: leases returned */
+    uint32_t losses;               /* UNIT_LOST; WORKER_NEWS LOST, SET_ASIDE: leases returned */
     bool alone;                    /* UNIT_LOST: it was leased alone */
     bool accepted;                 /* LIAR: the lie was the accepted version */
 };

@@ -275,12 +275,14 @@ void worker_fault(struct sched *s, uint32_t worker)
     w->until_ms = s->now_ms + pause_ms(s, w->pauses);
     if (w->pauses < PAUSES_MAX)
         w->pauses++;
+    uint32_t held = w->held;
     worker_leases_end(s, worker, 0, END_REVOKED, false);
     worker_timer_set(s, worker);
     worker_place(s, worker);
     sched_news_push(s, &(struct sched_action){.type = SCHED_WORKER_NEWS,
                                               .worker = w->handle,
                                               .state = SCHED_WORKER_SET_ASIDE,
+                                              .losses = held,
                                               .until_ms = w->until_ms});
 }
 

@@ -242,11 +242,14 @@ def test_changes(call, job):
 def test_picture_of_an_unfinished_job(call, job):
     path = "/api/v1/jobs/" + call("POST", "/api/v1/jobs", job)[1]["id"]
     problem = check_problem(call("GET", path + "/picture.exr"), 409, "unfinished")
-    assert "0.0 %" in problem["detail"]
+    assert problem["detail"] == "the job is queued, 0.0 % done; its picture is not finished"
     status, content, headers = call("GET", path + "/picture.png?partial=1")
     assert status == 200 and content.startswith(b"\x89PNG") and headers["Content-Type"] == "image/png"
     status, content, _ = call("GET", path + "/picture.exr?partial=1")
     assert status == 200 and content.startswith(b"\x76\x2f\x31\x01")
+    call("PATCH", path, {"state": "cancelled"})
+    problem = check_problem(call("GET", path + "/picture.exr"), 409, "unfinished")
+    assert problem["detail"] == ("the job was cancelled at 0.0 %; there is no finished picture")
 
 
 # --- Refusals ---------------------------------------------------------------------------------

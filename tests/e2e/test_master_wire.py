@@ -4,12 +4,14 @@ The wire is the Python one of wire_peer.py; results are made here, so that the p
 come out of them is known.
 """
 import hashlib
+import json
 import os
 import random
 import socket
 import struct
 import threading
 import time
+import urllib.request
 
 import pytest
 
@@ -459,6 +461,68 @@ def test_one_process_counts_once_over_restarts(farm):
 
 def states(farm):
     return {w["id"]: w["state"] for w in farm.request("GET", "/api/v1/workers")[1]["items"]}
+
+
+class WorkerEvents(threading.Thread):
+    """What the followers of one job are told about workers."""
+
+    def __init__(self, farm, job):
+        super().__init__(daemon=True)
+        self.reply = urllib.request.urlopen(f"{farm.url}/api/v1/events?job={job}",
+                                            timeout=20 * SLOW)
+        self.seen = []
+        self.start()
+
+    def run(self):
+        kind = ""
+        for line in self.reply:
+            key, _, value = line.decode().strip().partition(": ")
+            if key == "event":
+                kind = value
+            elif key == "data" and kind == "workers":
+                self.seen += json.loads(value)
+
+    def wait(self, worker, state):
+        def found():
+            return next((e for e in self.seen if (e["id"], e["state"]) == (worker, state)), None)
+        event = wait_until(found, f"{worker} {state} among {self.seen}")
+        assert set(event) == {"id", "name", "state", "units_returned", "threads", "note"}
+        return event
+
+
+def test_followers_of_a_job_hear_of_workers(farm, job):
+    events = WorkerEvents(farm, job)
+    lost = Scripted(farm, name="to be lost").welcome()
+    event = events.wait("w1", "joined")
+    assert (event["name"], event["threads"], event["units_returned"]) == ("to be lost", 2, 0)
+    lost.send("JobReady", job=1)
+    lost.lease()
+    lost.drain_messages()
+    held = len(lost.leases) + 1
+    lost.close()
+    event = events.wait("w1", "lost")
+    assert event["units_returned"] == held > 1 and event["note"]
+    good = Scripted(farm).welcome()
+    render_all(farm, good, job)
+    good.send("Heartbeat", sequence=2, sent_us=1, draining=True)
+    events.wait("w2", "draining")
+    good.send("Goodbye", reason="drained")
+    event = events.wait("w2", "left")
+    assert event["units_returned"] == 0 and event["note"] == "left"
+    states_seen = [(e["id"], e["state"]) for e in events.seen]
+    assert states_seen == [("w1", "joined"), ("w1", "lost"), ("w2", "joined"), ("w2", "draining"),
+                           ("w2", "left")]
+
+
+def test_scene_bytes_outlive_the_master(farm, job):
+    peer = Scripted(farm).welcome()
+    peer.send("JobReady", job=1, received_bytes=12345)
+    wait_until(lambda: farm.job(job)["bytes"]["scene_sent"] == 12345, "the bytes")
+    # What is acknowledged after them finds them on disk.
+    farm.submit(SEED_SCENE, "--spp", SPP, "--size", "16x16")
+    farm.kill_master()
+    farm.start_master()
+    assert farm.job(job)["bytes"]["scene_sent"] == 12345
 
 
 def test_silent_worker_is_lost(farm, job):
