@@ -74,6 +74,46 @@ void diag_add(struct diag_list *list, enum diag_severity severity, struct diag_p
     list->items[list->count++] = d;
 }
 
+/* When memory runs out, the problem stays as it was. */
+static void move_to_user(struct diag *d, struct diag_place user)
+{
+    struct diag moved = *d;
+    moved.file = copy_masked(user.file);
+    moved.path = copy_masked(user.path);
+    moved.text = mem_sprintf("%s: %s", d->file, d->text);
+    if (moved.path && moved.text && (moved.file || !user.file)) {
+        mem_free(d->file);
+        mem_free(d->text);
+        *d = moved;
+        return;
+    }
+    mem_free(moved.file);
+    mem_free(moved.path);
+    mem_free(moved.text);
+}
+
+static void add_user_to_hint(struct diag *d, struct diag_place user)
+{
+    char *hint = mem_sprintf("%s%sread for %s%s%s", d->hint ? d->hint : "", d->hint ? "; " : "",
+                             user.file ? user.file : "", user.file ? ": " : "", user.path);
+    if (!hint)
+        return;
+    mask_controls(hint);
+    mem_free(d->hint);
+    d->hint = hint;
+}
+
+void diag_name_user(struct diag_list *list, size_t from, struct diag_place user)
+{
+    for (size_t i = from; i < list->count; i++) {
+        struct diag *d = &list->items[i];
+        if (d->file && !d->line && !d->path)
+            move_to_user(d, user);
+        else
+            add_user_to_hint(d, user);
+    }
+}
+
 void diag_print(const struct diag_list *list, FILE *to)
 {
     for (size_t i = 0; i < list->count; i++) {

@@ -51,6 +51,11 @@ struct diag_place {
 void diag_add(struct diag_list *list, enum diag_severity severity, struct diag_place place,
               const char *id, const char *hint, const char *format, ...) TL_PRINTF(6, 7);
 
+/* Tells who uses a file that was read: of the problems from number `from` on, those without a line
+ * and JSON path move to `user`, the file's name going into the text; the others name `user` in
+ * their hint. `user` has a path. */
+void diag_name_user(struct diag_list *list, size_t from, struct diag_place user);
+
 /* Prints every problem, warnings marked "warning: ". No closing count. */
 void diag_print(const struct diag_list *list, FILE *to);
 

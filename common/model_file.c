@@ -28,7 +28,7 @@ static enum err read_obj(const char *text, size_t bytes, const char *shown, stru
                          struct diag_list *problems)
 {
     struct obj_model model;
-    TL_TRY(obj_read(text, bytes, shown, &model, problems));
+    TL_TRY(obj_read_strict(text, bytes, shown, &model, problems));
     enum err e = ERR_OK;
     if (model.triangle_count > 0) {
         e = obj_mesh(&model, OBJ_MATERIAL_ALL, out);
@@ -67,7 +67,8 @@ enum err model_read_mesh(const char *path, const char *shown, struct scene_mesh 
     if (e == ERR_LIMIT)
         return problem(problems, shown, "file-too-large", NULL, "over 4 GiB");
     if (e != ERR_OK)
-        return problem(problems, shown, "unreadable-file", NULL, "cannot be read");
+        return problem(problems, shown, "unreadable-file", NULL,
+                       "cannot be read: a folder, or no permission");
     struct scene_mesh mesh = {0};
     e = read_text(text, bytes, path, shown, &mesh, problems);
     mem_free(text);

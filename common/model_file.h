@@ -9,7 +9,8 @@
 #include "common/diag.h"
 #include "common/scene.h"
 
-/* `path` is opened; `shown` names it in problems. A mesh without a face is a problem. You own
+/* `path` is opened; `shown` names it in problems. A mesh without a face is a problem,
+ * and so is every index out of range. You own
  * what `out` points to (scene_mesh_release). ERR_INPUT with problems (file:line), ERR_NOMEM. */
 TL_NODISCARD enum err model_read_mesh(const char *path, const char *shown, struct scene_mesh *out,
                                       struct diag_list *problems);

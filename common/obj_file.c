@@ -29,6 +29,7 @@ struct parser {
     const char *file;
     struct diag_list *problems;
     bool out_of_memory;
+    bool strict; /* uv and normal indices out of range are errors */
 
     double *values[KINDS];
     size_t count[KINDS], capacity[KINDS]; /* elements, not doubles */
@@ -175,10 +176,11 @@ static void index_problem(struct parser *p, unsigned kind, int64_t index)
     problem(p, "index-out-of-range", NULL, text);
 }
 
-/* A face without its position is an error; without its uv or normal it still has its shape. */
+/* A face without its position is an error; without its uv or normal it still has its shape, and
+ * is kept when the reader is not strict. */
 static void index_missing(struct parser *p, unsigned kind, int64_t index)
 {
-    if (kind == POSITION)
+    if (p->strict || kind == POSITION)
         index_problem(p, kind, index);
     else
         p->dangling_line = p->dangling_count++ ? p->dangling_line : p->line;
@@ -425,14 +427,15 @@ static void give_model(struct parser *p, struct obj_model *out)
     p->triangles = NULL;
 }
 
-enum err obj_read(const char *text, size_t bytes, const char *file, struct obj_model *out,
-                  struct diag_list *problems)
+static enum err read_model(const char *text, size_t bytes, const char *file, bool strict,
+                           struct obj_model *out, struct diag_list *problems)
 {
     struct parser p = {.at = text,
                        .end = text + bytes,
                        .line = 1,
                        .file = file,
                        .problems = problems,
+                       .strict = strict,
                        .material = OBJ_NONE,
                        .group = OBJ_NONE};
     size_t errors_before = problems->error_count;
@@ -451,6 +454,18 @@ enum err obj_read(const char *text, size_t bytes, const char *file, struct obj_m
         give_model(&p, out);
     parser_release(&p);
     return e;
+}
+
+enum err obj_read(const char *text, size_t bytes, const char *file, struct obj_model *out,
+                  struct diag_list *problems)
+{
+    return read_model(text, bytes, file, false, out, problems);
+}
+
+enum err obj_read_strict(const char *text, size_t bytes, const char *file, struct obj_model *out,
+                         struct diag_list *problems)
+{
+    return read_model(text, bytes, file, true, out, problems);
 }
 
 static void names_release(char **names, size_t count)

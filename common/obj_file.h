@@ -46,6 +46,10 @@ struct obj_model {
  * an error here. */
 TL_NODISCARD enum err obj_read(const char *text, size_t bytes, const char *file,
                                struct obj_model *out, struct diag_list *problems);
+
+/* As obj_read, but uv and normal indices out of range are problems too. */
+TL_NODISCARD enum err obj_read_strict(const char *text, size_t bytes, const char *file,
+                                      struct obj_model *out, struct diag_list *problems);
 void obj_release(struct obj_model *m);
 
 #endif

@@ -116,6 +116,15 @@ char *scene_load_path(struct scene_loader *l, const struct json *v, const char *
     return NULL;
 }
 
+void scene_load_name_user(struct scene_loader *l, const struct json *v, size_t from)
+{
+    char path[JSON_PATH_BYTES];
+    if (from == l->g.problems->count)
+        return;
+    json_path(v, path);
+    diag_name_user(l->g.problems, from, (struct diag_place){.file = l->g.file, .path = path});
+}
+
 bool scene_load_grow_bytes(struct scene_loader *l, void **items, size_t count, size_t *capacity,
                            size_t count_max, size_t item_bytes, const struct json *at)
 {

@@ -18,7 +18,9 @@ static uint32_t read_image(struct scene_loader *l, const struct json *v, const c
     char *full = scene_load_path(l, v, path);
     if (!full)
         return SCENE_NONE;
+    size_t problems_before = l->g.problems->count;
     enum err e = image_read_file(full, use, &image, l->g.problems);
+    scene_load_name_user(l, v, problems_before);
     mem_free(full);
     if (e == ERR_OK &&
         scene_load_grow(l, s->images, s->image_count, l->image_capacity, SCENE_TEXTURES_MAX, v)) {

@@ -16,7 +16,9 @@ static uint32_t read_mesh(struct scene_loader *l, const struct json *v, const ch
     char *full = scene_load_path(l, v, path);
     if (!full)
         return SCENE_NONE;
+    size_t problems_before = l->g.problems->count;
     enum err e = model_read_mesh(full, full, &mesh, l->g.problems);
+    scene_load_name_user(l, v, problems_before);
     mem_free(full);
     l->out_of_memory |= e == ERR_NOMEM;
     if (e != ERR_OK)

@@ -60,6 +60,9 @@ char *scene_load_name(struct scene_loader *l, const struct json *v);
  * when it does not. You own it. */
 char *scene_load_path(struct scene_loader *l, const struct json *v, const char *path);
 
+/* Names the value whose file was just read in the problems from number `from` on. */
+void scene_load_name_user(struct scene_loader *l, const struct json *v, size_t from);
+
 /* Room for one more element, at most `count_max`; NULL with the reason noted. */
 #define scene_load_grow(l, items, count, capacity, count_max, at)                                  \
     scene_load_grow_bytes((l), (void **)&(items), (count), &(capacity), (count_max),               \

@@ -24,7 +24,8 @@ static void put_file(const char *name, const char *text)
     mem_free(path);
 }
 
-static const char *const file_names[] = {"tri.obj", "Case.obj", "empty.obj", "bad.obj"};
+static const char *const file_names[] = {"tri.obj", "Case.obj",  "empty.obj", "bad.obj",
+                                         "bad.exr", "loose.obj", "points.ply"};
 
 static int make_folder(void **state)
 {
@@ -34,6 +35,10 @@ static int make_folder(void **state)
     put_file("Case.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     put_file("empty.obj", "v 0 0 0\n");
     put_file("bad.obj", "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 9\n");
+    put_file("bad.exr", "no picture\n");
+    put_file("loose.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/7 2 3\nf 1//2 2 3\n");
+    put_file("points.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n"
+                           "property float y\nproperty float z\nend_header\n0 0 0\n");
     return 0;
 }
 
@@ -191,7 +196,18 @@ static const struct refusal {
     {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \"no.obj\", \"light\": {}}", ""),
      "missing-file", "$.objects[1].path"},
     {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \"empty.obj\", \"light\": {}}", ""),
-     "empty-mesh", "empty.obj"},
+     "empty-mesh", "$.objects[1].path"},
+    {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \".\", \"light\": {}}", ""),
+     "unreadable-file", "$.objects[1].path"},
+    {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \"bad.exr\", \"light\": {}}", ""),
+     "unknown-format", "$.objects[1].path"},
+    {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \"points.ply\", \"light\": {}}", ""),
+     "empty-mesh", "$.objects[1].path"},
+    {"{\"integrator\": {}, \"film\": {}, \"camera\": {},"
+     " \"textures\": {\"t\": {\"type\": \"image\", \"path\": \"bad.exr\"}}}",
+     "unknown-format", "$.textures.t.path"},
+    {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \"loose.obj\", \"light\": {}}", ""),
+     "index-out-of-range", "loose.obj"},
     {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \"bad.obj\", \"light\": {}}", ""),
      "not-finite", "bad.obj"},
     {SCENE("", "", "", "", ", {\"type\": \"mesh\", \"path\": \"bad.obj\", \"light\": {}}", ""),
@@ -258,6 +274,35 @@ static void all_problems_come_in_one_run(void **state)
     d = problem_find(&l.problems, "missing-file", "$.objects[2].path");
     assert_non_null(d);
     assert_string_equal(d->hint, "looked beside s.json; \"Case.obj\" exists");
+    unload(&l);
+}
+
+/* The user learns which file it is and what uses it. */
+static void problems_of_files_name_their_user(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load(&l, SCENE("", "", "", "",
+                   ", {\"type\": \"mesh\", \"path\": \"empty.obj\", \"light\": {}}"
+                   ", {\"type\": \"mesh\", \"path\": \"bad.obj\", \"light\": {}}"
+                   ", {\"type\": \"mesh\", \"path\": \"loose.obj\", \"light\": {}}",
+                   ""));
+    assert_int_equal(l.e, ERR_INPUT);
+    const struct diag *d = problem_find(&l.problems, "empty-mesh", "$.objects[1].path");
+    assert_non_null(d);
+    assert_string_equal(d->file, "s.json");
+    assert_non_null(strstr(d->text, "/empty.obj: no face in it: "));
+    d = problem_find(&l.problems, "not-finite", "bad.obj");
+    assert_non_null(d);
+    assert_true(d->line > 0);
+    assert_non_null(strstr(d->hint, "read for s.json: $.objects[2].path"));
+    size_t loose = 0;
+    for (size_t i = 0; i < l.problems.count; i++) {
+        d = &l.problems.items[i];
+        bool here = d->file && strstr(d->file, "loose.obj") && d->severity == DIAG_ERROR;
+        loose += here && (d->line == 4 || d->line == 5);
+    }
+    assert_int_equal(loose, 2);
     unload(&l);
 }
 
@@ -336,6 +381,7 @@ int main(void)
         cmocka_unit_test(values_arrive),
         cmocka_unit_test(bad_scenes_are_refused_with_their_place),
         cmocka_unit_test(all_problems_come_in_one_run),
+        cmocka_unit_test(problems_of_files_name_their_user),
         cmocka_unit_test(winding_follows_the_normals),
         cmocka_unit_test(memory_runs_out_cleanly),
         cmocka_unit_test(committed_scenes_load),
