@@ -137,11 +137,13 @@ def test_text_is_refused(farm, tmp_path, case):
 
 
 MESHES = {
-    "empty mesh": ("", "triangle.obj"),
-    "no face": ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "triangle.obj"),
+    "empty mesh": ("", "scene.json: $.objects[0].path: "),
+    "no face": ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "triangle.obj: no face in it"),
     "index out of range": (TRIANGLE + "f 1 2 4\n", "triangle.obj:5"),
     "index zero": (TRIANGLE + "f 0 1 2\n", "triangle.obj:5"),
     "index too far back": (TRIANGLE + "f -4 -1 -2\n", "triangle.obj:5"),
+    "uv out of range": (TRIANGLE + "f 1/2 2 3\n", "triangle.obj:5"),
+    "normal out of range": (TRIANGLE + "f 1 2 3//9\n", "triangle.obj:5"),
     "not a number": ("v 0 nan 0\n" + TRIANGLE, "triangle.obj:1"),
     "infinite": ("v 0 1e999 0\n" + TRIANGLE, "triangle.obj:1"),
     "short vertex": ("v 0 0\n" + TRIANGLE, "triangle.obj:1"),
