@@ -63,13 +63,22 @@ static bool check_count(const struct cli_option *o, const char *text, struct dia
     double signed_value = number ? (negative ? -(double)value : (double)value) : 0;
     if (number && signed_value >= o->low && signed_value <= o->high)
         return true;
-    complain(problems, "bad-value", NULL, "--%s %s: must be a whole number from %.0f to %.0f",
-             o->name, text, o->low, o->high);
+    /* A double has no room for the largest of 64 bits: it would show one more. */
+    char high[32];
+    (void)snprintf(high, sizeof high, "%.0f", o->high);
+    if (o->high >= (double)UINT64_MAX)
+        (void)snprintf(high, sizeof high, "%" PRIu64, UINT64_MAX);
+    complain(problems, "bad-value", NULL, "--%s %s: must be a whole number from %.0f to %s",
+             o->name, text, o->low, high);
     return false;
 }
 
 static bool check_choice(const struct cli_option *o, const char *text, struct diag_list *problems)
 {
+    if (o->choice_not_built && strcmp(text, o->choice_not_built) == 0) {
+        complain(problems, "not-built", NULL, "--%s %s is not built yet", o->name, text);
+        return false;
+    }
     if (job_choice_find(o->choices, o->choice_count, text) >= 0)
         return true;
     char known[300] = "known: ";

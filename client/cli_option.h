@@ -115,6 +115,7 @@ struct cli_option {
     double low, high;     /* CLI_COUNT, CLI_NUMBER */
     const char *const *choices;
     int choice_count;
+    const char *choice_not_built; /* one of them that exits 2 and says so; may be NULL */
     const char *help;
 };
 

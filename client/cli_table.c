@@ -1,3 +1,8 @@
+/* client/cli_table.c: every command and every option of `tilery`, as constant tables.
+ *
+ * The parser, the help, the settings and the completion all read them; nothing else knows an
+ * option's name. Static storage, any thread.
+ */
 #include "client/cli_option.h"
 
 #define BIT(command) (UINT32_C(1) << CLI_##command)
@@ -45,6 +50,11 @@ const struct cli_command cli_commands[CLI_COMMAND_COUNT] = {
 #undef CLI_COMMAND_ROW
 };
 
+/* The scene format's integrators: those after the first JOB_INTEGRATOR_COUNT are rendered by the
+ * path integrator. */
+#define INTEGRATOR_NAME(suffix, name) name,
+static const char *const integrator_names[] = {JOB_INTEGRATORS(INTEGRATOR_NAME) "bdpt", "photon"};
+#undef INTEGRATOR_NAME
 static const char *const progress_names[] = {"auto", "bar", "lines", "none"};
 static const char *const color_names[] = {"auto", "always", "never"};
 
@@ -134,8 +144,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                         .section = "light",
                         .commands = JOB_COMMANDS,
                         .built = true,
-                        .choices = job_integrator_names,
-                        .choice_count = JOB_INTEGRATOR_COUNT,
+                        CHOICES(integrator_names),
                         .help = "how light is followed, in place of the scene's"},
     [CLI_SAMPLER] = {.name = "sampler",
                      .kind = CLI_CHOICE,
@@ -172,6 +181,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                        .built = true,
                        .choices = job_precision_names,
                        .choice_count = JOB_PRECISION_COUNT,
+                       .choice_not_built = "fast",
                        .help = "exact: geometry decided in double (the default)"},
     [CLI_BUILDER] = {.name = "builder",
                      .kind = CLI_CHOICE,

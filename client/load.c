@@ -14,10 +14,22 @@ static enum err read_scene(struct load *load, const char *path)
     return scene_json_read_file(path, &load->scene, &load->spec, &load->problems);
 }
 
+/* Names of the scene format that ask for the same light by other means mean path, with the
+ * warning that the scene's key gives. */
+static void take_integrator(struct load *load, const struct cli_line *line)
+{
+    int choice = cli_choice(line, CLI_INTEGRATOR);
+    load->spec.integrator =
+        choice < JOB_INTEGRATOR_COUNT ? (enum job_integrator)choice : JOB_INTEGRATOR_PATH;
+    if (choice >= JOB_INTEGRATOR_COUNT)
+        diag_add(&load->problems, DIAG_WARNING, (struct diag_place){0}, "integrator-replaced", NULL,
+                 "--integrator %s is rendered by the path integrator: the same light by other "
+                 "means",
+                 cli_text(line, CLI_INTEGRATOR));
+}
+
 static void take_choices(struct job_spec *spec, const struct cli_line *line)
 {
-    if (cli_has(line, CLI_INTEGRATOR))
-        spec->integrator = (enum job_integrator)cli_choice(line, CLI_INTEGRATOR);
     if (cli_has(line, CLI_SAMPLER))
         spec->sampler = (enum job_sampler)cli_choice(line, CLI_SAMPLER);
     if (cli_has(line, CLI_PRECISION))
@@ -38,9 +50,12 @@ static void take_size(struct job_spec *spec, const struct cli_line *line)
         spec->crop = cli_crop(line);
 }
 
-static void apply_options(struct job_spec *spec, const struct cli_line *line)
+static void apply_options(struct load *load, const struct cli_line *line)
 {
+    struct job_spec *spec = &load->spec;
     take_size(spec, line);
+    if (cli_has(line, CLI_INTEGRATOR))
+        take_integrator(load, line);
     take_choices(spec, line);
     if (cli_has(line, CLI_SPP))
         spec->spp = cli_count(line, CLI_SPP);
@@ -110,7 +125,7 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
         return;
     }
     load->has_scene = true;
-    apply_options(&load->spec, line);
+    apply_options(load, line);
     if (!options_fit(load, line))
         load->status = EXIT_USAGE;
     else

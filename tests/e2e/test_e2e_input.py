@@ -207,6 +207,7 @@ USAGE = {
     "bad number": (("render", "a.json", "-o", "b.exr", "--spp", "many"), "whole number"),
     "bad choice": (("render", "a.json", "-o", "b.exr", "--sampler", "sobl"), "sobol"),
     "same file twice": (("render", "a.json", "-o", "b.exr", "--report", "b.exr"), "twice"),
+    "fast": (("render", "a.json", "-o", "b.exr", "--precision", "fast"), "not built yet"),
     "target error": (("render", "a.json", "-o", "b.exr", "--target-error", "0.1"), "not built yet"),
     "time limit": (("render", "a.json", "-o", "b.exr", "--time-limit", "3"), "not built yet"),
     "aov": (("render", "a.json", "-o", "b.exr", "--aov", "normal"), "not built yet"),
@@ -226,6 +227,20 @@ def test_usage(case):
     done = tilery(*arguments, cwd="/")
     assert done.returncode == 2, (done.returncode, done.stderr)
     assert part in done.stderr and done.stdout == ""
+
+
+@pytest.mark.parametrize("name", ["bdpt", "photon"])
+def test_integrator_that_means_path(tmp_path, name):
+    """As the scene's own key: the path integrator's very bits, and a warning."""
+    (tmp_path / "triangle.obj").write_text(TRIANGLE)
+    (tmp_path / "scene.json").write_text(json.dumps(GOOD))
+    for integrator, out in ((name, "a.exr"), ("path", "b.exr")):
+        done = tilery("render", tmp_path / "scene.json", "-o", tmp_path / out, "--quiet",
+                      "--integrator", integrator)
+        assert done.returncode == 0, done.stderr
+        assert ("path integrator" in done.stderr) == (integrator == name), done.stderr
+    same = tilery("compare", tmp_path / "a.exr", tmp_path / "b.exr", "--identical")
+    assert same.returncode == 0, same.stderr
 
 
 def test_crop_outside(farm, tmp_path):
