@@ -26,6 +26,7 @@ enum {
     PATIENCE_S = 20,      /* for a master that is being started again */
     BYTES_PER_PIXEL = 12, /* three floats; compression may save some, noise hardly */
     FILE_OVERHEAD_BYTES = 65536,
+    FILM_BYTES_PER_PIXEL = 48, /* two halves of three doubles */
 };
 
 struct render {
@@ -79,12 +80,42 @@ static int check_line(const struct cli_line *line)
     return EXIT_DONE;
 }
 
-/* Before hours are spent: the disk must have room for what the picture may need. */
+/* Memory that can be had without swapping; 0: not known. */
+static uint64_t memory_available(void)
+{
+    char line[128];
+    unsigned long long kilobytes = 0;
+    FILE *file = fopen("/proc/meminfo", "re");
+    while (file && kilobytes == 0 && fgets(line, sizeof line, file))
+        if (strncmp(line, "MemAvailable:", 13) == 0)
+            kilobytes = strtoull(line + 13, NULL, 10);
+    if (file)
+        (void)fclose(file);
+    return (uint64_t)kilobytes * 1024;
+}
+
+/* The film of the private master lies in memory. */
+static int check_memory(uint64_t pixels)
+{
+    uint64_t needed = pixels * FILM_BYTES_PER_PIXEL, available = memory_available();
+    if (available == 0 || needed <= available)
+        return EXIT_DONE;
+    cli_error("no-memory", "nothing was rendered yet; --crop renders a part, with the same bits",
+              "out of memory: the picture needs %.1f GB, %.1f GB are free", (double)needed / 1e9,
+              (double)available / 1e9);
+    return EXIT_MACHINE;
+}
+
+/* Before hours are spent: memory and disk must have room for what the picture may need. */
 static int check_room(const struct render *r)
 {
     const char *path = cli_text(&r->cli->line, CLI_OUTPUT);
     const struct job_crop *c = &r->load.spec.crop;
-    uint64_t bytes = (uint64_t)c->width * c->height * BYTES_PER_PIXEL + FILE_OVERHEAD_BYTES;
+    uint64_t pixels = (uint64_t)c->width * c->height;
+    uint64_t bytes = pixels * BYTES_PER_PIXEL + FILE_OVERHEAD_BYTES;
+    int status = check_memory(pixels);
+    if (status != EXIT_DONE)
+        return status;
     enum err e = out_file_check(path, bytes);
     return e == ERR_OK ? EXIT_DONE
                        : cli_cannot_write(path, e, errno, bytes, "nothing was rendered yet");
@@ -209,6 +240,27 @@ static bool on_wake(void *ctx)
     return false;
 }
 
+/* The private master pauses a job that it cannot store. Nobody is there to make room and resume
+ * it: for us that is the end. */
+static int paused(struct render *r)
+{
+    char path[FARM_PATH_BYTES];
+    struct farm_json reply;
+    int status = farm_job_path(r->job, "", path);
+    if (status == EXIT_DONE)
+        status = farm_call(&r->api, "GET", path, NULL, &reply);
+    if (status != EXIT_DONE)
+        return status;
+    const char *note = reply_text(reply.json.root, "note", "");
+    if (strstr(note, err_text(ERR_NOSPACE)))
+        (void)cli_cannot_write(r->farm.folder, ERR_NOSPACE, 0, 0,
+                               "the output is as it was; TMPDIR may name a larger disk");
+    else
+        cli_error("farm-failed", NULL, "the private farm failed: %s", note);
+    farm_json_release(&reply);
+    return EXIT_MACHINE;
+}
+
 static int wait_job(struct render *r, bool *done)
 {
     progress_init(&r->progress, (enum progress_mode)command_progress_mode(r->cli),
@@ -224,11 +276,14 @@ static int wait_job(struct render *r, bool *done)
                             .wake_fd = signals_fd(),
                             .on_wake = on_wake,
                             .ctx = r,
+                            .pause_ends = true,
                             .joins_expected = r->farm.worker_count,
                             .patience_s = PATIENCE_S};
     enum follow_end end = follow_job(&follow);
     progress_end(&r->progress);
     *done = end == FOLLOW_DONE;
+    if (end == FOLLOW_PAUSED)
+        return paused(r);
     if (end == FOLLOW_FARM_LOST)
         return signals_interrupts > 0 ? EXIT_INTERRUPTED : EXIT_MACHINE;
     return end == FOLLOW_STOPPED ? r->status : EXIT_DONE;

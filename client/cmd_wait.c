@@ -72,6 +72,21 @@ static void say_failure(const struct json *report, const char *job)
         cli_error("job-failed", NULL, "%s failed%s%s", job, cause[0] ? ": " : "", cause);
 }
 
+/* What a run that says nothing else must still say. */
+static void warn_nonfinite(const struct json *report)
+{
+    double bad = reply_number(report, "nonfinite_samples", 0);
+    if (bad > 0)
+        cli_warn("%.0f non-finite sample%s counted as black", bad, bad == 1 ? "" : "s");
+}
+
+/* Our own children without memory are this machine's trouble, not the job's. */
+static int failed_status(const struct farm *farm, const struct json *report)
+{
+    const char *cause = reply_text(report, "failure", reply_text(report, "note", ""));
+    return farm->is_private && strstr(cause, err_text(ERR_NOMEM)) ? EXIT_MACHINE : EXIT_FAILED;
+}
+
 int cmd_wait_report(struct farm *farm, const struct cli *cli, const char *job, const char *title,
                     double start_s, bool job_ok)
 {
@@ -84,11 +99,13 @@ int cmd_wait_report(struct farm *farm, const struct cli *cli, const char *job, c
         return status;
     status = write_report(farm, cli);
     if (status == EXIT_DONE && !job_ok)
-        status = EXIT_FAILED;
+        status = failed_status(farm, reply.json.root);
     if (cli->json)
         print_json_end(farm, start_s, status);
     else if (!cli->quiet)
         print_block(reply.json.root, title);
+    else
+        warn_nonfinite(reply.json.root);
     if (!job_ok)
         say_failure(reply.json.root, job);
     farm_json_release(&reply);

@@ -188,6 +188,8 @@ static enum follow_end run(struct watch *w)
                        : FOLLOW_FARM_LOST;
         if (is_over(w->now.state))
             break;
+        if (w->f->pause_ends && strcmp(w->now.state, "paused") == 0)
+            return FOLLOW_PAUSED;
         if (!isnan(w->idle_since_s)) {
             w->now.waiting_s = now_s - w->idle_since_s;
             w->f->progress->now.waiting_s = w->now.waiting_s;

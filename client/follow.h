@@ -13,6 +13,7 @@ enum follow_end {
     FOLLOW_DONE,      /* the job is done */
     FOLLOW_FAILED,    /* failed or cancelled */
     FOLLOW_STOPPED,   /* the hook said so */
+    FOLLOW_PAUSED,    /* paused, under pause_ends */
     FOLLOW_FARM_LOST, /* farm cannot be reached, or does not know the job; it has been said */
 };
 
@@ -24,6 +25,7 @@ struct follow {
     bool (*on_wake)(void *ctx);               /* called after each wait; true stops. May be NULL */
     void (*on_news)(void *ctx, double now_s); /* after each change of the job; may be NULL */
     void *ctx;
+    bool pause_ends;         /* a paused job is not waited for: nobody is there to resume it */
     uint32_t joins_expected; /* so many workers that join are no news */
     double patience_s;       /* how long the farm may be silent */
     char state[24];          /* out: the last state known */

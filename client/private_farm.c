@@ -13,6 +13,7 @@
 #include <sys/prctl.h>
 #include <sys/random.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
@@ -245,7 +246,26 @@ int private_farm_fd(const struct private_farm *f)
     return f->master.out_fd;
 }
 
-/* The last line of a child's log, appended to `failure`. */
+/* The last line of level error, or simply the last. `text` is cut into lines. */
+static const char *telling_line(char *text)
+{
+    const char *last = "", *error = NULL;
+    for (char *rest = text, *line; (line = strsep(&rest, "\n"));) {
+        last = line;
+        if (strncmp(line, "error ", 6) == 0)
+            error = line;
+    }
+    return error ? error : last;
+}
+
+/* Appended to `failure`. */
+static void add_words(struct private_farm *f, const char *before, const char *words)
+{
+    size_t used = strlen(f->failure);
+    format(f->failure + used, sizeof f->failure - used, "; %s%s", before, words);
+}
+
+/* What a child's log says of its end; on a full disk the log has no words either. */
 static void quote_log(struct private_farm *f, const struct private_child *child)
 {
     char path[PATH_BYTES], text[2048];
@@ -259,12 +279,13 @@ static void quote_log(struct private_farm *f, const struct private_child *child)
     (void)close(fd);
     while (bytes > 0 && text[bytes - 1] == '\n')
         bytes--;
+    struct statvfs disk;
+    if (bytes <= 0 && statvfs(f->folder, &disk) == 0 && disk.f_bavail == 0)
+        add_words(f, "disk full: ", f->folder);
     if (bytes <= 0)
         return;
     text[bytes] = '\0';
-    const char *line = strrchr(text, '\n') ? strrchr(text, '\n') + 1 : text;
-    size_t used = strlen(f->failure);
-    format(f->failure + used, sizeof f->failure - used, "; its last words: %s", line);
+    add_words(f, "its last words: ", telling_line(text));
 }
 
 static void say_end(struct private_farm *f, const struct private_child *child, int status)

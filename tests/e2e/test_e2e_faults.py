@@ -331,6 +331,44 @@ def test_disk_full_at_the_end(tmp_path, small_disk):
     assert exr_pixels.rgb(saved).shape == (100, 100, 3)
 
 
+@pytest.mark.parametrize("options", [(), ("--quiet",)], ids=["talking", "quiet"])
+def test_private_disk_full(tmp_path, small_disk, options):
+    """The farm's own folder fills up: the end, not a wait for someone who makes room."""
+    out = tmp_path / "out.exr"
+    out.write_text("precious")
+    process = start_tilery("render", GLASS_SCENE, "-o", out, "--size", "512x512", "--spp", "1",
+                           *options, env=clean_env(TMPDIR=small_disk))
+    children = wait_until(lambda: children_of(process.pid), "the farm")
+    try:
+        _, err = process.communicate(timeout=30 * SLOW)
+    finally:
+        process.kill()
+    assert process.returncode == 5, err
+    assert "disk full" in err, err
+    assert not any(alive(pid) for pid in children)
+    assert out.read_text() == "precious"
+    assert list(small_disk.iterdir()) == []
+
+
+@pytest.mark.parametrize("free_kb", [12, 48])
+def test_private_disk_full_at_the_start(tmp_path, small_disk, free_kb):
+    """A master that cannot begin: what it said of it, not its good-bye; or the disk itself."""
+    (small_disk / "filler").write_bytes(bytes((256 - free_kb) << 10))
+    done = tilery("render", GLASS_SCENE, "-o", tmp_path / "out.exr", "--spp", "1",
+                  env=clean_env(TMPDIR=small_disk))
+    assert done.returncode == 5, done.stderr
+    assert "disk full" in done.stderr and "stopping" not in done.stderr, done.stderr
+    assert [p.name for p in small_disk.iterdir()] == ["filler"]
+
+
+def test_picture_larger_than_memory(tmp_path):
+    done = tilery("render", GLASS_SCENE, "-o", tmp_path / "a.exr", "--size", "65535x65535",
+                  "--spp", "1", timeout=30)
+    assert done.returncode == 5, done.stderr
+    assert "out of memory" in done.stderr and "206.2 GB" in done.stderr
+    assert list(tmp_path.glob("a.exr*")) == []
+
+
 def test_get_to_a_full_disk(tmp_path, small_disk):
     with Farm(tmp_path) as farm:
         farm.worker()

@@ -132,6 +132,17 @@ def test_job_that_fails():
     assert "j1 failed: unit 7 failed 3 times: out of memory" in done.stderr
 
 
+def test_nonfinite_samples_are_told():
+    """A warning is not silenced by --quiet."""
+    for bad, words in ((2, "2 non-finite samples"), (1, "1 non-finite sample "), (0, "")):
+        report = {**REPORT, "state": "done", "done": 1, "nonfinite_samples": bad}
+        with Master({"/api/v1/jobs/j1": lambda h, report=report: answer(h, 200, report),
+                     "/api/v1/events": refuse_stream}) as master:
+            done = tilery("watch", "j1", "--quiet", env=master.env, timeout=20)
+        assert done.returncode == 0 and words in done.stderr
+        assert (done.stderr == "") == (bad == 0), done.stderr
+
+
 HOSTILE = "\x1b[31mred\x07\r\nrow"
 
 
