@@ -161,15 +161,17 @@ static void put_text(const struct metrics *m, const struct flip *f, const struct
                    (unsigned long long)m->nonfinite_x, (unsigned long long)m->nonfinite_r);
 }
 
-static bool must_hold(const struct cli_line *line, const struct metrics *m)
+/* Why the comparison does not hold; NULL if it does. */
+static const char *what_fails(const struct cli_line *line, const struct metrics *m)
 {
     if (cli_flag(line, CLI_IDENTICAL) && !m->identical)
-        return false;
+        return "not identical";
     if (!cli_has(line, CLI_MAX_RELMSE))
-        return true;
+        return NULL;
     /* A picture with holes is not within any error. */
-    return m->nonfinite_x == 0 && m->nonfinite_r == 0 &&
-           m->relmse <= cli_number(line, CLI_MAX_RELMSE);
+    if (m->nonfinite_x != 0 || m->nonfinite_r != 0)
+        return "values that are not finite are within no limit";
+    return m->relmse <= cli_number(line, CLI_MAX_RELMSE) ? NULL : "relMSE is over the limit";
 }
 
 static int report(const struct cli *cli, const struct picture *x, const struct picture *r)
@@ -183,7 +185,8 @@ static int report(const struct cli *cli, const struct picture *x, const struct p
         cli_error("no-memory", NULL, "out of memory");
         return EXIT_MACHINE;
     }
-    bool holds = must_hold(&cli->line, &m);
+    const char *failing = what_fails(&cli->line, &m);
+    bool holds = !failing;
     buf_init(&out);
     if (cli->json)
         put_json(&m, flips ? &flip : NULL, x, holds, &out);
@@ -192,9 +195,7 @@ static int report(const struct cli *cli, const struct picture *x, const struct p
     bool ok = cli_put_buf(&out);
     buf_release(&out);
     if (!holds)
-        cli_error("comparison", NULL, "the comparison did not hold: %s",
-                  cli_flag(&cli->line, CLI_IDENTICAL) && !m.identical ? "not identical"
-                                                                      : "relMSE is over the limit");
+        cli_error("comparison", NULL, "the comparison did not hold: %s", failing);
     return !ok ? EXIT_MACHINE : holds ? EXIT_DONE : EXIT_FAILED;
 }
 

@@ -247,7 +247,10 @@ int command_cancel(struct cli *cli)
 
 int command_pause(struct cli *cli)
 {
-    return patch_job(cli, "{\"state\":\"paused\"}", "is paused; go on: tilery resume JOB");
+    char said[FARM_ID_BYTES + 40];
+    (void)snprintf(said, sizeof said, "is paused; go on: tilery resume %s",
+                   cli_safe(cli->line.arguments[0]));
+    return patch_job(cli, "{\"state\":\"paused\"}", said);
 }
 
 /* Both resume and retry ask for the state "queued": this keeps the one from doing the other's. */

@@ -188,8 +188,10 @@ static void print_problem_errors(const struct json *problem)
     }
 }
 
-static int exit_of_status(long status)
+static int exit_of_status(const struct farm *f, long status)
 {
+    if (f->is_private && status >= 500)
+        return EXIT_MACHINE;
     if (status == 422 || status == 400 || status == 413)
         return EXIT_INPUT;
     if (status == 409 || status == 412)
@@ -210,7 +212,7 @@ static int explain_status(struct farm *f)
     struct farm_json reply;
     if (reply_parse(f, &reply) != ERR_OK) {
         cli_error("bad-reply", NULL, "%s answered with HTTP status %ld", url, status);
-        return exit_of_status(status);
+        return exit_of_status(f, status);
     }
     const struct json *root = reply.json.root;
     const char *type = reply_text(root, "type", "about:blank");
@@ -219,7 +221,7 @@ static int explain_status(struct farm *f)
     print_problem_errors(root);
     cli_error(cli_safe(id), NULL, "%s", text);
     farm_json_release(&reply);
-    return exit_of_status(status);
+    return exit_of_status(f, status);
 }
 
 int farm_explain(struct farm *f, enum err e)
@@ -295,6 +297,31 @@ int farm_job_path(const char *id, const char *tail, char out[FARM_PATH_BYTES])
     return EXIT_DONE;
 }
 
+/* The farm has no whole picture of the job: how far it is, or how it ended. */
+static int explain_unfinished(struct farm *f, const char *job)
+{
+    char path[FARM_PATH_BYTES], hint[FARM_ID_BYTES + 60];
+    struct farm_json reply;
+    int status = farm_job_path(job, "", path);
+    if (status == EXIT_DONE)
+        status = farm_call(f, "GET", path, NULL, &reply);
+    if (status != EXIT_DONE)
+        return status;
+    const char *state = reply_text(reply.json.root, "state", "");
+    double share = 100 * reply_number(reply.json.root, "done", 0);
+    bool cancelled = strcmp(state, "cancelled") == 0, failed = strcmp(state, "failed") == 0;
+    (void)snprintf(hint, sizeof hint, "%s: tilery %s %s",
+                   cancelled || failed ? "to try it again" : "to wait for it",
+                   cancelled || failed ? "retry" : "watch", job);
+    cli_error("unfinished", hint, "%s %s %s, %.1f %% done: there is no whole picture", job,
+              cancelled ? "was"
+              : failed  ? "has"
+                        : "is",
+              cli_safe(state), share);
+    farm_json_release(&reply);
+    return EXIT_FAILED;
+}
+
 int farm_fetch_picture(struct farm *f, const char *job, const char *what, const char *path,
                        const char *rescue)
 {
@@ -311,6 +338,8 @@ int farm_fetch_picture(struct farm *f, const char *job, const char *what, const 
     e = http_call(f->http, &request, &f->reply);
     if (e == ERR_OK && f->reply.status == 200)
         e = out_file_commit(&out);
+    else if (e == ERR_OK && f->reply.status == 409)
+        status = explain_unfinished(f, job);
     else
         status = e == ERR_NOSPACE || e == ERR_IO ? EXIT_MACHINE : farm_explain(f, e);
     out_file_abort(&out);

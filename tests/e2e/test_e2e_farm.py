@@ -138,7 +138,8 @@ def test_cancel(farm, tmp_path):
     watcher = farm.start_cli("watch", job)
     farm.wait_progress(job, 0)
     early = farm.cli("get", job, "-o", tmp_path / "early.exr")
-    assert early.returncode == 1 and "%" in early.stderr, early.stderr
+    assert early.returncode == 1 and "% done" in early.stderr, early.stderr
+    assert f"tilery watch {job}" in early.stderr and "partial" not in early.stderr
     assert not (tmp_path / "early.exr").exists()
     assert farm.cli("cancel", job).returncode == 0
     _, err = watcher.communicate(timeout=30)
@@ -147,7 +148,9 @@ def test_cancel(farm, tmp_path):
     again = farm.cli("cancel", job)
     assert again.returncode in (0, 1)
     assert farm.cli("resume", job).returncode == 1
-    assert farm.cli("get", job, "-o", tmp_path / "a.exr").returncode == 1
+    late = farm.cli("get", job, "-o", tmp_path / "a.exr")
+    assert late.returncode == 1 and "was cancelled" in late.stderr, late.stderr
+    assert f"tilery retry {job}" in late.stderr and "partial" not in late.stderr
 
 
 def test_retry_gives_the_same_bits(farm):
@@ -165,7 +168,8 @@ def test_retry_gives_the_same_bits(farm):
 def test_pause_resume_priority(farm):
     first = farm.submit(GLASS_SCENE, *LONG, "--name", "first")
     farm.wait_progress(first, 0)
-    assert farm.cli("pause", first).returncode == 0
+    done = farm.cli("pause", first)
+    assert done.returncode == 0 and f"tilery resume {first}" in done.stderr, done.stderr
     wait_until(lambda: farm.job(first)["state"] == "paused", "the job to pause")
     second = farm.submit(SEED_SCENE, *SMALL, "--name", "second")
     farm.wait_job(second)
@@ -360,6 +364,17 @@ def test_compare(farm, tmp_path):
     (tmp_path / "bad.exr").write_bytes(a.read_bytes()[:200])
     done = tilery("compare", tmp_path / "bad.exr", tmp_path / "none.exr")
     assert done.returncode == 3 and "bad.exr" in done.stderr and "none.exr" in done.stderr
+
+
+def test_compare_with_holes(tmp_path):
+    """A value that is not finite is why a limit does not hold, and is said to be."""
+    pixels = numpy.full((4, 6, 3), 0.5, dtype=numpy.float32)
+    exr_pixels.write(tmp_path / "whole.exr", pixels)
+    pixels[1, 2, 0] = numpy.nan
+    exr_pixels.write(tmp_path / "hole.exr", pixels)
+    done = tilery("compare", tmp_path / "hole.exr", tmp_path / "whole.exr", "--max-relmse", "1000")
+    assert done.returncode == 1
+    assert "did not hold: values that are not finite" in done.stderr, done.stderr
 
 
 def test_flip(tmp_path):
