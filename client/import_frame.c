@@ -1,3 +1,8 @@
+/* client/import_frame.c: a camera for a model that brings none.
+ *
+ * It looks at the whole of an object from outside, and into a room from its open side or from
+ * within. Decided by the scene's geometry alone. One thread.
+ */
 #include <math.h>
 
 #include "client/import_model.h"

@@ -1,3 +1,7 @@
+/* client/import_gltf_material.c: images, samplers and materials of glTF as the scene's.
+ *
+ * What the renderer has no counterpart for becomes a warning. One thread.
+ */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

@@ -1,3 +1,8 @@
+/* client/import_image.c: the pictures that a model names, each read once for each use.
+ *
+ * Keeps which source became which image; the scene owns the pixels. A picture that cannot be read
+ * is a warning, and the model comes without it. One thread.
+ */
 #include <string.h>
 
 #include "client/import_model.h"

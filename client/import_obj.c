@@ -1,3 +1,7 @@
+/* client/import_obj.c: OBJ with its material libraries, and PLY, as a whole scene.
+ *
+ * Parsers lie in common/; here is what meshes, groups and materials become. One thread.
+ */
 #include <math.h>
 #include <string.h>
 #include <unistd.h>

@@ -1,3 +1,8 @@
+/* client/import_scene.c: the scene that every importer fills, and the problems it meets on the way.
+ *
+ * Grows the scene's arrays, names things apart and settles what the renderer refuses; what was
+ * added belongs to the scene. One thread.
+ */
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>

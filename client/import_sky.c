@@ -1,3 +1,7 @@
+/* client/import_sky.c: the soft sky that lights a model without lights of its own.
+ *
+ * Adds one image and one light to the scene of the import. One thread.
+ */
 #include <math.h>
 
 #include "client/import_model.h"

@@ -1,3 +1,7 @@
+/* client/tilery_main.c: the program `tilery`: the command line, or the child that reads a model.
+ *
+ * The child is this same program under an argument that nobody types by chance.
+ */
 #include <string.h>
 
 #include "client/cli.h"
