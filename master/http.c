@@ -19,6 +19,7 @@ static const struct route routes[] = {
     {"GET", "/", http_get_page, 0, true},
     {"GET", "/app.js", http_get_script, 0, true},
     {"GET", "/style.css", http_get_style, 0, true},
+    {"GET", "/docs/errors", http_get_errors, 0, true},
     {"GET", "/healthz", http_get_health, 0, true},
     {"GET", "/metrics", http_get_metrics, 0, false},
     {"GET", "/api/v1/openapi.json", http_get_openapi, 0, true},

@@ -139,6 +139,7 @@ void http_get_page(struct request *r);
 void http_get_script(struct request *r);
 void http_get_style(struct request *r);
 void http_get_openapi(struct request *r);
+void http_get_errors(struct request *r);
 
 /* A value as compact JSON text (http_json.c); you own it; NULL: out of memory. Texts that contain
  * U+0000 are cut there. */

@@ -7,6 +7,7 @@
 
 #include "common/file_io.h"
 #include "common/mem.h"
+#include "proto/transport.h"
 
 enum { TOKEN_BYTES_MIN = 8, TOKEN_BYTES_MAX = 256, DAY_S = 24 * 3600 };
 
@@ -65,6 +66,17 @@ static bool is_loopback(const char *addr_port)
 {
     return strncmp(addr_port, "127.", 4) == 0 || strncmp(addr_port, "localhost:", 10) == 0 ||
            strncmp(addr_port, "[::1]:", 6) == 0;
+}
+
+static bool check_addresses(const struct options *o, int *status)
+{
+    if (!transport_host_port_valid(o->listen))
+        return wrong(status, "--listen must be ADDR:PORT such as 127.0.0.1:7000, not \"%s\"",
+                     o->listen);
+    if (!transport_host_port_valid(o->http))
+        return wrong(status, "--http must be ADDR:PORT such as 127.0.0.1:8080, not \"%s\"",
+                     o->http);
+    return true;
 }
 
 static bool check_exposed(const struct options *o, int *status)
@@ -180,7 +192,7 @@ bool options_parse(int argc, char **argv, struct options *out, int *status)
         }
     bool good = optind >= argc || wrong(status, "unexpected argument \"%s\"", argv[optind]);
     if (good)
-        good = check_exposed(out, status);
+        good = check_addresses(out, status) && check_exposed(out, status);
     if (!good)
         options_release(out);
     return good;

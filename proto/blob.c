@@ -1,3 +1,5 @@
+/* Blobs: bytes that several connections send at once, freed with the last reference. Counts are
+ * atomic: any thread may take or drop one. See transport.h. */
 #include <stdatomic.h>
 
 #include "common/mem.h"

@@ -1,3 +1,5 @@
+/* Addresses and how connections begin: text to address, dialling, listening. Owns the lookups and
+ * the sockets under way until a connection has one; loop thread only. See transport_impl.h. */
 #include <fcntl.h>
 #include <stdio.h>
 #include <string.h>

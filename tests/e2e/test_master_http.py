@@ -5,11 +5,12 @@ import json
 import pathlib
 import re
 import struct
+import subprocess
 import time
 
 import pytest
 
-from farm import Farm, GLASS_SCENE, ROOT, SEED_SCENE, SLOW, wait_until
+from farm import BIN, Farm, GLASS_SCENE, ROOT, SEED_SCENE, SLOW, clean_env, wait_until
 
 OPENAPI = json.loads((ROOT / "master/web/openapi.json").read_text())
 TOKEN = "a long secret token"
@@ -252,6 +253,27 @@ def test_picture_of_an_unfinished_job(call, job):
     assert problem["detail"] == ("the job was cancelled at 0.0 %; there is no finished picture")
 
 
+@pytest.mark.parametrize("option", ["--listen", "--http"])
+@pytest.mark.parametrize("text", ["foo", "127.0.0.1", "127.0.0.1:", ":80", "127.0.0.1:70000", ""])
+def test_address_without_port(tmp_path, option, text):
+    done = subprocess.run([str(BIN / "tilery-master"), option, text, "--data",
+                           str(tmp_path / "d")],
+                          env=clean_env(), capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 2 and f'{option} must be ADDR:PORT' in done.stderr, done.stderr
+    assert f'"{text}"' in done.stderr and "reached from" not in done.stderr
+
+
+def test_type_of_a_problem_leads_to_its_text(farm, call):
+    problem = call("GET", "/api/v1/jobs/j9999")[1]
+    path, kind = problem["type"].split("#")
+    status, content, headers = Client(farm)("GET", path)
+    text = content.decode()
+    assert status == 200 and headers["Content-Type"].startswith("text/html")
+    assert f'<h3 id="{kind}">{kind}</h3>' in text
+    ids = re.findall(r"^### (.*)$", (ROOT / "docs/ERRORS.md").read_text(), re.M)
+    assert re.findall(r'<h3 id="([^"]*)">', text) == ids
+
+
 # --- Refusals ---------------------------------------------------------------------------------
 
 
@@ -352,7 +374,8 @@ def test_routes_of_the_program_are_described():
     assert len(routes) > 15
     described = {(m.upper(), re.sub(r"\{\w+\}", "{}", p))
                  for p, o in OPENAPI["paths"].items() for m in o}
-    page = {("GET", "/"), ("GET", "/app.js"), ("GET", "/style.css")}
+    page = {("GET", "/"), ("GET", "/app.js"), ("GET", "/style.css"),
+            ("GET", "/docs/errors")}
     assert set(routes) - page == described
 
 
