@@ -38,6 +38,22 @@ static enum err broken_glb(struct import *im, const char *what)
     return import_fail(im, "bad-glb", "export the model again", "damaged GLB file: %s", what);
 }
 
+/* The JSON text of a file that is no GLB; junk under a glTF name is told from broken JSON. */
+static enum err take_json(struct import *im, const char *data, size_t bytes, const char **text,
+                          size_t *text_bytes)
+{
+    static const char mark[] = "\xEF\xBB\xBF";
+    size_t skip = bytes >= 3 && memcmp(data, mark, 3) == 0 ? 3 : 0, first = skip;
+    while (first < bytes && data[first] && strchr(" \t\r\n", data[first]))
+        first++;
+    if (first == bytes || data[first] != '{')
+        return import_fail(im, "unknown-format", "export the model again",
+                           "neither GLB, which starts with \"glTF\", nor glTF's JSON");
+    *text = data + skip;
+    *text_bytes = bytes - skip;
+    return ERR_OK;
+}
+
 /* The JSON text of a GLB file, and its binary chunk. */
 static enum err split_glb(struct gltf *t, const char *data, size_t bytes, const char **text,
                           size_t *text_bytes)
@@ -112,14 +128,10 @@ enum err gltf_open(struct gltf *t, struct import *im, const char *data, size_t b
     const char *text = NULL;
     size_t text_bytes = 0;
     *t = (struct gltf){.im = im};
-    if (bytes >= 4 && memcmp(data, "glTF", 4) == 0) {
+    if (bytes >= 4 && memcmp(data, "glTF", 4) == 0)
         TL_TRY(split_glb(t, data, bytes, &text, &text_bytes));
-    } else {
-        static const char mark[] = "\xEF\xBB\xBF";
-        size_t skip = bytes >= 3 && memcmp(data, mark, 3) == 0 ? 3 : 0;
-        text = data + skip;
-        text_bytes = bytes - skip;
-    }
+    else
+        TL_TRY(take_json(im, data, bytes, &text, &text_bytes));
     TL_TRY(json_get_open(&t->g, text, text_bytes, im->path, im->problems));
     enum err e = json_get_is(&t->g, t->g.root, JSON_OBJECT) ? fill_tables(t) : ERR_INPUT;
     if (e != ERR_OK)

@@ -203,6 +203,13 @@ def test_damage_is_named(tmp_path, change, expected):
     assert not (tmp_path / "scene.json").exists()
 
 
+@pytest.mark.parametrize("data", [b"", b"junk in here", b"\0\1\2\3", b" [1]"])
+def test_junk_under_a_gltf_name(tmp_path, data):
+    (tmp_path / "m.glb").write_bytes(data)
+    _, said = imported(tmp_path, "m.glb", status=3)
+    assert "m.glb: neither GLB" in said and "[unknown-format]" in said and "column" not in said
+
+
 @pytest.mark.parametrize("name", ["a b.bin", "\u00fcn\u00ef \u2764 (1)+%.bin", "%20.bin"])
 def test_names_with_escapes(tmp_path, name):
     model = triangle_gltf()
