@@ -1,3 +1,5 @@
+/* Chunks as zstd frames with a bounded window, and back, checked against their size and digest.
+ * Owns the only use of zstd for packages; no state, any thread. */
 #include <zstd.h>
 #include <zstd_errors.h>
 

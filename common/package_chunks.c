@@ -1,3 +1,5 @@
+/* The chunks of one mesh or one image: arrays and samples to bytes and back, every size and index
+ * checked before it is used. Owns the layouts TLYM and TLYI; no state, any thread. */
 #include <math.h>
 #include <string.h>
 

@@ -1,3 +1,5 @@
+/* A package back to a scene: the root's list of chunks, then its tables, then each chunk, as
+ * hostile bytes. Owns the half-read scene until it is whole; no state, any thread. */
 #include <string.h>
 
 #include "common/mem.h"

@@ -1,3 +1,5 @@
+/* The fields and tables of a package's root, each told once for writing and reading alike.
+ * Owns the order and width of every field on the way; no state, any thread. */
 #include <string.h>
 
 #include "common/mem.h"

@@ -1,3 +1,5 @@
+/* A scene to a package: what is used, renumbered, as a root chunk and a chunk for each mesh and
+ * image. Owns the trimmed copy and the chunks until they are given away; no state, any thread. */
 #include <string.h>
 
 #include "common/mem.h"

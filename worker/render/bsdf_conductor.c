@@ -1,3 +1,5 @@
+/* Rough conductor: Fresnel of a complex index over the facets of microfacet.h, reflection only.
+ * Owns nothing beyond the call; directions are local, the normal is +z. */
 #include "worker/render/bsdf_lobes.h"
 
 #include "worker/render/microfacet.h"

@@ -1,3 +1,5 @@
+/* Rough dielectric: reflection and refraction at the facets of microfacet.h, with the compression
+ * of radiance. Owns nothing beyond the call; directions are local, the normal is +z. */
 #include "worker/render/bsdf_lobes.h"
 
 #include "worker/render/microfacet.h"

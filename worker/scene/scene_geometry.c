@@ -1,3 +1,6 @@
+/* Meshes and objects of a scene to what the tracer reads: floats around the scene's centre, scaled
+ * by a power of two, and instances. Owns the choice of both; memory is the scene's arena. One
+ * thread. */
 #include "worker/scene/scene_parts.h"
 
 #include <float.h>

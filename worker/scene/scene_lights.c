@@ -1,3 +1,5 @@
+/* Emitting triangles, spheres, lights without a surface and the sky to one table to draw from.
+ * Owns their powers and the sky's density; memory is the scene's arena. One thread. */
 #include "worker/scene/scene_parts.h"
 
 #include "common/dmath.h"

@@ -1,3 +1,5 @@
+/* Images, textures and materials of a scene to those that shading reads: pixels are copied, factors
+ * folded in. Owns the bounds on roughness; memory is the scene's arena. One thread. */
 #include "worker/scene/scene_parts.h"
 
 /* Sheen finer than this is a line. */
