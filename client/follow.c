@@ -7,12 +7,14 @@
 
 #include "client/human.h"
 #include "client/sse.h"
+#include "common/json_put.h"
 
 enum { WAIT_MS = 200 };
 
 #define POLL_STREAMING_S 5.0 /* the stream tells everything; this only mends a lost event */
 #define POLL_ALONE_S     0.5
 #define REOPEN_S         1.0
+#define HELD_S           0.3 /* what belongs together comes together */
 
 double follow_now_s(void)
 {
@@ -30,6 +32,8 @@ struct watch {
     double idle_since_s; /* nobody works at it since; NaN: someone does */
     double next_poll_s, next_open_s, last_answer_s;
     bool silent_said, gone;
+    char held[400]; /* a line of the log that may be told by an event, too */
+    double held_s;
 };
 
 static bool is_over(const char *state)
@@ -69,28 +73,51 @@ static void take_job(struct watch *w, const struct json *job)
         w->f->on_news(w->f->ctx, now_s);
 }
 
+/* What became of a worker, for programs. */
+static void put_worker(struct watch *w, const struct json *worker)
+{
+    struct buf members;
+    buf_init(&members);
+    buf_printf(&members, "\"id\":");
+    json_put_text(&members, cli_safe(reply_text(worker, "id", "")));
+    buf_printf(&members, ",\"state\":");
+    json_put_text(&members, cli_safe(reply_text(worker, "state", "")));
+    buf_printf(&members, ",\"units_returned\":");
+    json_put_number(&members, reply_number(worker, "units_returned", (double)NAN));
+    buf_put_u8(&members, '\0');
+    if (buf_status(&members) == ERR_OK)
+        progress_json(w->f->progress, "worker", (const char *)members.data, follow_now_s());
+    buf_release(&members);
+}
+
 static void take_workers(struct watch *w, const struct json *list)
 {
     for (const struct json *v = list->type == JSON_ARRAY ? list->first : NULL; v; v = v->next) {
-        char members[300];
         if (v->type != JSON_OBJECT)
             continue;
-        (void)snprintf(members, sizeof members,
-                       "\"id\":\"%s\",\"state\":\"%s\",\"units_returned\":%.0f",
-                       cli_safe(reply_text(v, "id", "")), cli_safe(reply_text(v, "state", "")),
-                       reply_number(v, "units_returned", 0));
-        if (!strpbrk(members, "\\"))
-            progress_json(w->f->progress, "worker", members, follow_now_s());
+        put_worker(w, v);
+        if (w->f->joins_expected > 0 && strcmp(reply_text(v, "state", ""), "joined") == 0) {
+            w->f->joins_expected--;
+            w->held[0] = '\0';
+        }
     }
 }
 
+static void release_line(struct watch *w)
+{
+    if (w->held[0])
+        progress_event(w->f->progress, w->held, follow_now_s());
+    w->held[0] = '\0';
+}
+
+/* The log has a line about a worker that joins right before the event. */
 static void take_line(struct watch *w, const char *line)
 {
-    if (w->f->joins_expected > 0 && strstr(line, " joined, ")) {
-        w->f->joins_expected--;
-        return;
-    }
-    progress_event(w->f->progress, line, follow_now_s());
+    release_line(w);
+    (void)snprintf(w->held, sizeof w->held, "%s", line);
+    w->held_s = follow_now_s();
+    if (w->f->joins_expected == 0)
+        release_line(w);
 }
 
 static void on_event(void *ctx, const char *name, const char *data, size_t bytes)
@@ -194,6 +221,8 @@ static enum follow_end run(struct watch *w)
             w->now.waiting_s = now_s - w->idle_since_s;
             w->f->progress->now.waiting_s = w->now.waiting_s;
         }
+        if (now_s - w->held_s > HELD_S)
+            release_line(w);
         progress_tick(w->f->progress, now_s);
         wait_once(w);
     }
@@ -208,6 +237,7 @@ enum follow_end follow_job(struct follow *f)
     w.now.advice = f->progress->now.advice;
     (void)snprintf(w.now.job, sizeof w.now.job, "%s", f->job);
     enum follow_end end = run(&w);
+    release_line(&w);
     http_stream_close(w.stream);
     sse_release(&w.sse);
     return end;

@@ -1,4 +1,5 @@
 """Killing anything at any moment: the same picture, and nothing acknowledged is rendered again."""
+import json
 import os
 import pathlib
 import random
@@ -201,6 +202,22 @@ def test_render_survives_a_killed_worker(tmp_path, golden):
     assert process.returncode == 0, err
     assert "was killed by signal 9" in err and "started again" in err
     assert report_of(tmp_path / "a.json")["image_sha256"] == golden["image_sha256"]
+
+
+def test_killed_worker_is_told_to_programs(tmp_path):
+    """render --json: who joined, and what the one that was lost gave back."""
+    process = start_tilery("render", GLASS_SCENE, "-o", tmp_path / "a.exr", *WORK, "--json",
+                           "--workers", 2, "--threads", 1)
+    workers = wait_until(lambda: [pid for pid in children_of(process.pid)
+                                  if name_of(pid) == "tilery-worker"], "the workers")
+    time.sleep(0.7)
+    os.kill(workers[0], signal.SIGKILL)
+    out, err = process.communicate(timeout=120 * SLOW)
+    assert process.returncode == 0, err
+    events = [event for event in map(json.loads, out.splitlines()) if event["event"] == "worker"]
+    lost = [event for event in events if event["state"] == "lost"]
+    assert len(lost) == 1 and set(lost[0]) == {"event", "t", "id", "state", "units_returned"}
+    assert lost[0]["id"][0] == "w" and lost[0]["units_returned"] >= 0
 
 
 def test_render_survives_a_killed_master(tmp_path, golden):

@@ -142,6 +142,7 @@ def test_piped_progress(tmp_path):
               if line.strip()[:1].isdigit() and "%" in line[:5]]
     assert shares == sorted(shares) and shares[-1] == 100 and len(shares) <= 10
     assert "64x64, 16 spp, done in" in done.stderr
+    assert "joined" not in done.stderr # our own workers are no news
 
 
 def test_quiet(tmp_path):
