@@ -64,9 +64,9 @@ uint32_t frame_type_body_max(int type)
 
 void frame_header_encode(const struct frame_header *h, unsigned char out[FRAME_HEADER_BYTES])
 {
-    TL_ASSERT(frame_type_side(h->type) != 0);
+    TL_ASSERT(frame_type_side((int)h->type) != 0);
     TL_ASSERT(h->meta_bytes <= LIMIT_META_BYTES);
-    TL_ASSERT(h->body_bytes <= frame_type_body_max(h->type));
+    TL_ASSERT(h->body_bytes <= frame_type_body_max((int)h->type));
     memset(out, 0, FRAME_HEADER_BYTES);
     out[0] = FRAME_MAGIC & 0xff;
     out[1] = FRAME_MAGIC >> 8;
@@ -162,7 +162,7 @@ static enum err take_header(struct frame_decoder *d, const unsigned char **at,
     if (d->head_have < FRAME_HEADER_BYTES)
         return ERR_OK;
     TL_TRY(frame_header_decode(d->head, &d->header));
-    if ((frame_type_side(d->header.type) & d->rules.peer_side) == 0)
+    if ((frame_type_side((int)d->header.type) & d->rules.peer_side) == 0)
         return ERR_CORRUPT;
     d->header_known = true;
     return ERR_OK;

@@ -160,7 +160,7 @@ static const char *check_seconds(double a, double b)
 
 const char *message_check(const struct message *m)
 {
-    if (frame_type_side(m->type) == 0)
+    if (frame_type_side((int)m->type) == 0)
         return "an unknown type";
     if (!texts_valid(m))
         return "a text that is not UTF-8";
@@ -200,7 +200,7 @@ enum err message_encode(const struct message *m, unsigned char out[MESSAGE_BYTES
     if (message_check(m) != NULL)
         return ERR_LIMIT;
     pb_ostream_t stream = pb_ostream_from_buffer(out, MESSAGE_BYTES_MAX);
-    if (!pb_encode(&stream, fields_of(m->type), &m->hello))
+    if (!pb_encode(&stream, fields_of((int)m->type), &m->hello))
         return ERR_LIMIT;
     *bytes = stream.bytes_written;
     return ERR_OK;
@@ -208,7 +208,7 @@ enum err message_encode(const struct message *m, unsigned char out[MESSAGE_BYTES
 
 enum err message_decode(enum frame_type type, const void *meta, size_t bytes, struct message *out)
 {
-    const pb_msgdesc_t *fields = fields_of(type);
+    const pb_msgdesc_t *fields = fields_of((int)type);
     if (!fields || bytes > LIMIT_META_BYTES)
         return ERR_CORRUPT;
     *out = (struct message){.type = type};

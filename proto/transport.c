@@ -494,7 +494,7 @@ enum err conn_send(struct conn *c, const struct message *m, struct blob *body)
     unsigned char meta[MESSAGE_BYTES_MAX];
     size_t meta_bytes, body_bytes = body ? blob_bytes(body) : 0;
     TL_TRY(message_encode(m, meta, &meta_bytes));
-    if (body_bytes > frame_type_body_max(m->type))
+    if (body_bytes > frame_type_body_max((int)m->type))
         return ERR_LIMIT;
 
     size_t bytes = FRAME_HEADER_BYTES + meta_bytes + body_bytes;

@@ -37,9 +37,10 @@ static void judge(const struct ray *ray, const float *positions, const uint32_t 
     __float128 p[3][3], w[3], d[3], n[3];
     for (int i = 0; i < 3; i++)
         for (int k = 0; k < 3; k++)
-            p[i][k] = (__float128)positions[3 * (size_t)index[i] + (size_t)k] - ray->org[k];
+            p[i][k] =
+                (__float128)positions[3 * (size_t)index[i] + (size_t)k] - (__float128)ray->org[k];
     for (int k = 0; k < 3; k++)
-        d[k] = ray->dir[k];
+        d[k] = (__float128)ray->dir[k];
     for (int i = 0; i < 3; i++) {
         const __float128 *a = p[(i + 1) % 3], *b = p[(i + 2) % 3];
         w[i] = d[0] * (a[1] * b[2] - a[2] * b[1]) + d[1] * (a[2] * b[0] - a[0] * b[2]) +
@@ -66,7 +67,7 @@ static bool is_right(const struct trace_scene *s, const struct ray *ray, uint32_
 {
     const struct accel_mesh *m = &s->views[0];
     const __float128 margin = 1e-9Q;
-    struct verdict ours = {.t = ray->tmax}, other;
+    struct verdict ours = {.t = (__float128)ray->tmax}, other;
     if (primitive != SCENE_NONE) {
         judge(ray, m->positions, &m->indices[3 * (size_t)primitive], &ours);
         if (ours.flat || ours.least_weight < -margin)
@@ -74,7 +75,8 @@ static bool is_right(const struct trace_scene *s, const struct ray *ray, uint32_
     }
     for (uint32_t i = 0; i < m->triangle_count; i++) {
         judge(ray, m->positions, &m->indices[3 * (size_t)i], &other);
-        if (!other.flat && other.least_weight > margin && other.t > ray->tmin + (double)margin &&
+        if (!other.flat && other.least_weight > margin &&
+            other.t > (__float128)(ray->tmin + (double)margin) &&
             other.t < ours.t * (1 - margin) - margin)
             return false;
     }
@@ -176,7 +178,7 @@ static void test_needles(void **state)
         if (hit.object == SCENE_NONE) {
             missed += v128.least_weight > 1e-12Q;
         } else {
-            __float128 error = (hit.t - v128.t) / v128.t;
+            __float128 error = ((__float128)hit.t - v128.t) / v128.t;
             worst = (double)(error < 0 ? -error : error) > worst
                         ? (double)(error < 0 ? -error : error)
                         : worst;

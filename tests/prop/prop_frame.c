@@ -33,8 +33,8 @@ static struct frame_header random_header(void)
     struct frame_header h = {.meta_bytes = below(3) ? below(400) : 0};
     do
         h.type = (enum frame_type)(1 + below(18));
-    while (frame_type_side(h.type) == 0);
-    if (frame_type_body_max(h.type) > 0)
+    while (frame_type_side((int)h.type) == 0);
+    if (frame_type_body_max((int)h.type) > 0)
         h.body_bytes = below(3000);
     return h;
 }

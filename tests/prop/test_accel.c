@@ -224,10 +224,14 @@ static void test_nothing_and_nonsense(void **state)
     assert_int_equal(trace_scene_make(&s, TRACE_CORNELL), ERR_OK);
     struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
     const struct ray bad[] = {
-        {{NAN, 0, 3}, {0, 0, -1}, 0, 10},      {{0, 1, 3}, {0, NAN, -1}, 0, 10},
-        {{0, 1, 3}, {0, 0, 0}, 0, 10},         {{0, 1, INFINITY}, {0, 0, -1}, 0, 10},
-        {{0, 1, 3}, {0, 0, -INFINITY}, 0, 10}, {{0, 1, 3}, {0, 0, -1}, 10, 0},
-        {{0, 1, 3}, {0, 0, -1}, NAN, 10},      {{0, 1, 3}, {0, 0, -1}, 0, NAN},
+        {{(double)NAN, 0, 3}, {0, 0, -1}, 0, 10},
+        {{0, 1, 3}, {0, (double)NAN, -1}, 0, 10},
+        {{0, 1, 3}, {0, 0, 0}, 0, 10},
+        {{0, 1, (double)INFINITY}, {0, 0, -1}, 0, 10},
+        {{0, 1, 3}, {0, 0, -(double)INFINITY}, 0, 10},
+        {{0, 1, 3}, {0, 0, -1}, 10, 0},
+        {{0, 1, 3}, {0, 0, -1}, (double)NAN, 10},
+        {{0, 1, 3}, {0, 0, -1}, 0, (double)NAN},
     };
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
         uint8_t occluded = 1;
@@ -239,7 +243,7 @@ static void test_nothing_and_nonsense(void **state)
         assert_int_equal(occluded, 0);
         assert_false(accel_occluded(a, &bad[i]));
     }
-    struct ray good = {{0, 1, 3}, {0, 0, -1e300}, 0, INFINITY};
+    struct ray good = {{0, 1, 3}, {0, 0, -1e300}, 0, (double)INFINITY};
     accel_closest(a, &good, &hit);
     assert_int_equal(hit.object, 0);
     accel_free(a);

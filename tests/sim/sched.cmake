@@ -32,7 +32,9 @@ foreach(patch ${canaries})
     COMMENT "Putting a bug into ${file}: ${name}" VERBATIM)
   add_executable(sim_canary_${name} ${sim_main} ${bugged})
   target_link_libraries(sim_canary_${name} PRIVATE sim_core)
-  target_compile_options(sim_canary_${name} PRIVATE -Wno-error -Wno-unused-parameter)
+  # A source's options come after those of the libraries, which would turn the warning on again.
+  set_source_files_properties(${bugged} PROPERTIES
+    COMPILE_OPTIONS "-Wno-error;-Wno-unused-parameter")
   tilery_script_test(sim_canary_${name} LABEL sim
     COMMAND ${sim}/canary.sh $<TARGET_FILE:sim_canary_${name}>)
 endforeach()

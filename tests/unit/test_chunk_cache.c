@@ -180,7 +180,7 @@ static void what_is_not_the_chunk_is_refused(void **state)
 static void flip_a_bit(const char *path)
 {
     int fd = open(path, O_RDWR);
-    unsigned char byte;
+    unsigned char byte = 0;
     assert_true(fd >= 0 && pread(fd, &byte, 1, RAW_BYTES / 2) == 1);
     byte ^= 1;
     assert_int_equal(pwrite(fd, &byte, 1, RAW_BYTES / 2), 1);
