@@ -1,4 +1,5 @@
-/* client/import_assimp_material.c: materials and their textures as assimp gives them, as the scene's.
+/* client/import_assimp_material.c: materials and their textures as assimp gives them, as the
+ * scene's.
  *
  * What has no counterpart is said once and left out. Runs in the importer's child; one thread.
  */

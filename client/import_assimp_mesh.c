@@ -1,6 +1,7 @@
 /* client/import_assimp_mesh.c: triangles, normals and texture coordinates from assimp's meshes.
  *
- * Numbers that are not finite are replaced, with one warning. Runs in the importer's child; one thread.
+ * Numbers that are not finite are replaced, with one warning. Runs in the importer's child; one
+ * thread.
  */
 #include <math.h>
 #include <string.h>
