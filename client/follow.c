@@ -31,7 +31,7 @@ struct watch {
     struct progress_now now;
     double idle_since_s; /* nobody works at it since; NaN: someone does */
     double next_poll_s, next_open_s, last_answer_s;
-    bool silent_said, gone;
+    bool silent_said;
     char held[400]; /* a line of the log that may be told by an event, too */
     double held_s;
 };
