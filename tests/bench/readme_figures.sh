@@ -2,7 +2,7 @@
 # readme_figures.sh: measures what README.md quotes, in one run, with the release build.
 #
 #   report     seconds of `tilery render` for the source report's scene, 512x512, 8 spp
-#   spot       seconds for a mesh of 5,856 triangles at 256x256, 8 spp, with the tree and without
+#   spot       seconds for a mesh of 5,856 triangles at 96x96, 4 spp, with the tree and without
 #   overhead   bench_farm: farm against a bare loop, and milliseconds a job
 #
 # usage: tests/bench/readme_figures.sh [RUNS]     (default 5; medians and ranges are printed)
@@ -34,9 +34,9 @@ grep -m1 'model name' /proc/cpuinfo | sed 's/.*: //'
 echo "$(nproc) cores, commit $(git rev-parse --short HEAD)"
 series "report's scene, 512x512, 8 spp" scenes/cbox_no_light_refract.json --spp 8
 python3 scenes/for_data.py "$data" "$scratch"
-series "spot, 256x256, 8 spp" "$scratch/spot.json" --size 256x256 --spp 8
+series "spot, 96x96, 4 spp" "$scratch/spot.json" --size 96x96 --spp 4
 if [ "$runs" -gt 3 ]; then
     runs=3
 fi
-series "spot, the same without a tree" "$scratch/spot.json" --size 256x256 --spp 8 --builder none
+series "spot, the same without a tree" "$scratch/spot.json" --size 96x96 --spp 4 --builder none
 "$bin/bench_farm" --quick
