@@ -285,7 +285,7 @@ static void parse(int argc, char **argv, struct options *o)
         {"quick", no_argument, NULL, 'q'},       {"json", required_argument, NULL, 'j'},
         {"scene", required_argument, NULL, 's'}, {"spp", required_argument, NULL, 'n'},
         {"runs", required_argument, NULL, 'r'},  {0}};
-    *o = (struct options){.scene = "scenes/glass_cbox.json", .spp = 32, .runs = 5};
+    *o = (struct options){.scene = "scenes/glass_cbox.json", .spp = 64, .runs = 5};
     for (int c; (c = getopt_long(argc, argv, "", table, NULL)) != -1;) {
         if (c == 'q')
             o->quick = true;
