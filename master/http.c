@@ -270,15 +270,9 @@ bool request_json(struct request *r, struct json_get *g, struct diag_list *probl
                   const char *const *keys, size_t key_count)
 {
     diag_init(problems);
-    const char *text = r->body.bytes ? (const char *)r->body.data : "";
-    enum err e = json_get_open(g, text, r->body.bytes, NULL, problems);
-    if (e == ERR_OK) {
-        if (json_get_is(g, g->root, JSON_OBJECT))
-            json_get_keys(g, g->root, keys, key_count);
-        if (problems->error_count == 0)
-            return true;
-        json_get_close(g);
-    }
+    enum err e = http_body_open(g, r->body.data, r->body.bytes, keys, key_count, problems);
+    if (e == ERR_OK)
+        return true;
     if (e == ERR_NOMEM)
         request_error(r, e);
     else
@@ -286,19 +280,6 @@ bool request_json(struct request *r, struct json_get *g, struct diag_list *probl
                          "the body is not the JSON object asked for", problems);
     diag_release(problems);
     return false;
-}
-
-uint64_t http_id(const char *text, char letter)
-{
-    uint64_t id = 0;
-    if (text[0] != letter || text[1] == '0' || text[1] == '\0')
-        return 0;
-    for (const char *c = text + 1; *c; c++) {
-        if (*c < '0' || *c > '9' || id > UINT64_MAX / 100)
-            return 0;
-        id = id * 10 + (uint64_t)(*c - '0');
-    }
-    return id;
 }
 
 /* --- Refusing ----------------------------------------------------------- */

@@ -24,33 +24,33 @@ void http_post_missing(struct request *r)
     struct diag_list problems;
     if (!request_json(r, &g, &problems, keys, 1))
         return;
-    struct buf b;
+    struct buf names, b;
+    buf_init(&names);
     buf_init(&b);
     buf_printf(&b, "{\"missing\":[");
+    enum err e = http_body_digests(&g, &names);
     bool first = true;
-    const struct json *list = json_get_required(&g, g.root, "sha256");
-    if (json_get_is(&g, list, JSON_ARRAY)) {
-        for (const struct json *v = list->first; v; v = v->next) {
-            const char *hex = NULL;
-            digest name;
-            if (!json_value_text(&g, v, false, &hex))
-                continue;
-            if (!digest_from_hex(hex, &name)) {
-                json_get_problem(&g, DIAG_ERROR, v, "bad-digest", NULL,
-                                 "\"%.80s\" is not 64 hexadecimal digits", hex);
-            } else if (!chunks_has(r->farm->chunks, &name)) {
-                buf_printf(&b, "%s\"%s\"", first ? "" : ",", hex);
-                first = false;
-            }
-        }
+    for (size_t at = 0; e == ERR_OK && at + sizeof(digest) <= names.bytes; at += sizeof(digest)) {
+        digest name;
+        char hex[DIGEST_HEX_BYTES];
+        memcpy(&name, names.data + at, sizeof name);
+        if (chunks_has(r->farm->chunks, &name))
+            continue;
+        digest_to_hex(&name, hex);
+        buf_printf(&b, "%s\"%s\"", first ? "" : ",", hex);
+        first = false;
     }
     buf_printf(&b, "]}\n");
-    if (problems.error_count > 0) {
-        buf_release(&b);
-        request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-request",
-                         "sha256 must be a list of digests", &problems);
-    } else {
+    buf_release(&names);
+    if (e == ERR_OK) {
         request_reply(r, MHD_HTTP_OK, "application/json", &b);
+    } else {
+        buf_release(&b);
+        if (e == ERR_NOMEM)
+            request_error(r, e);
+        else
+            request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-request",
+                             "sha256 must be a list of digests", &problems);
     }
     json_get_close(&g);
     diag_release(&problems);

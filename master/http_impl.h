@@ -5,6 +5,7 @@
 #include "common/json_get.h"
 #include "common/json_put.h"
 #include "master/http.h"
+#include "master/http_body.h"
 
 struct MHD_Connection;
 struct MHD_Daemon;
@@ -140,12 +141,5 @@ void http_get_script(struct request *r);
 void http_get_style(struct request *r);
 void http_get_openapi(struct request *r);
 void http_get_errors(struct request *r);
-
-/* A value as compact JSON text (http_json.c); you own it; NULL: out of memory. Texts that contain
- * U+0000 are cut there. */
-char *http_json_text(const struct json *top);
-
-/* "j42" or "w3" as a number; 0: neither. */
-uint64_t http_id(const char *text, char letter);
 
 #endif

@@ -199,47 +199,14 @@ static void put_item(struct buf *b, struct farm *f, const struct job *job)
     buf_put_u8(b, '}');
 }
 
-/* The states of "a,b" as bits; 0 when one is unknown. */
-static unsigned parse_states(const char *text)
-{
-    unsigned states = 0;
-    while (text) {
-        size_t bytes = strcspn(text, ",");
-        unsigned found = 0;
-        for (unsigned i = 0; i < JOB_STATE_COUNT; i++)
-            if (strlen(job_state_names[i]) == bytes && memcmp(job_state_names[i], text, bytes) == 0)
-                found = 1U << i;
-        if (!found)
-            return 0;
-        states |= found;
-        text = text[bytes] ? text + bytes + 1 : NULL;
-    }
-    return states;
-}
-
-/* A number in [1, high] from a query argument. */
-static bool parse_count(const char *text, uint64_t high, uint64_t *out)
-{
-    uint64_t v = 0;
-    if (!*text)
-        return false;
-    for (; *text; text++) {
-        if (*text < '0' || *text > '9' || v > high)
-            return false;
-        v = v * 10 + (uint64_t)(*text - '0');
-    }
-    *out = v;
-    return v >= 1 && v <= high;
-}
-
 void http_get_jobs(struct request *r)
 {
     const char *state = request_query(r, "state"), *limit_text = request_query(r, "limit");
     const char *cursor_text = request_query(r, "cursor");
-    unsigned states = state ? parse_states(state) : ~0U;
+    unsigned states = state ? http_query_states(state) : ~0U;
     uint64_t limit = HTTP_LIST_DEFAULT, cursor = UINT64_MAX;
-    if (states == 0 || (limit_text && !parse_count(limit_text, HTTP_LIST_MAX, &limit)) ||
-        (cursor_text && !parse_count(cursor_text, UINT64_MAX / 100, &cursor))) {
+    if (states == 0 || (limit_text && !http_query_count(limit_text, HTTP_LIST_MAX, &limit)) ||
+        (cursor_text && !http_query_count(cursor_text, UINT64_MAX / 100, &cursor))) {
         request_problem(r, MHD_HTTP_BAD_REQUEST, "bad-query",
                         "state is a list of job states, limit 1 to %d, cursor as given by next",
                         (int)HTTP_LIST_MAX);
@@ -271,11 +238,10 @@ void http_get_jobs(struct request *r)
 /* What a submission carries while its package is checked. */
 struct submission {
     struct later *later;
-    char name[JOB_NAME_BYTES], key[128];
+    struct http_job_body asked;
+    char key[128];
     bool has_key;
-    struct job_spec spec;
-    digest package, body;
-    int32_t priority;
+    digest body;
     uint64_t job;
 };
 
@@ -320,10 +286,10 @@ static void reply_missing(struct request *r, const struct buf *missing)
 /* The package is whole: makes the job. False: answered. */
 static bool make_job(struct request *r, struct submission *s)
 {
-    struct job_request asked = {.name = s->name,
-                                .spec = &s->spec,
-                                .package = s->package,
-                                .priority = s->priority,
+    struct job_request asked = {.name = s->asked.name,
+                                .spec = &s->asked.spec,
+                                .package = s->asked.package,
+                                .priority = s->asked.priority,
                                 .key = s->has_key ? s->key : NULL,
                                 .body = s->body};
     struct job *job = NULL;
@@ -359,26 +325,10 @@ static void package_checked(void *ctx, enum err e, struct buf *missing)
     mem_free(s);
 }
 
-/* The members of the body; false: problems were added. */
+/* The members of the body and the key; false: problems were added. */
 static bool read_submission(struct request *r, struct json_get *g, struct submission *s)
 {
-    const char *name = "", *package = NULL;
-    double priority = 0;
-    (void)json_get_text(g, g->root, "name", &name);
-    (void)json_get_number(g, g->root, "priority", -1000000, 1000000, &priority);
-    s->priority = (int32_t)priority;
-    (void)snprintf(s->name, sizeof s->name, "%s", name);
-    const struct json *p = json_get_required(g, g->root, "package");
-    if (json_value_text(g, p, false, &package) && !digest_from_hex(package, &s->package))
-        json_get_problem(g, DIAG_ERROR, p, "bad-digest", NULL,
-                         "\"%.80s\" is not 64 hexadecimal digits", package);
-    const struct json *spec = json_get_required(g, g->root, "spec");
-    if (json_get_is(g, spec, JSON_OBJECT)) {
-        char *text = http_json_text(spec);
-        if (!text || job_spec_from_json(text, strlen(text), &s->spec, g->problems) == ERR_NOMEM)
-            json_get_problem(g, DIAG_ERROR, spec, "out-of-memory", NULL, "out of memory");
-        mem_free(text);
-    }
+    bool good = http_body_job(g, &s->asked) == ERR_OK;
     const char *key = request_head(r, "Idempotency-Key");
     if (key && (strlen(key) == 0 || strlen(key) >= sizeof s->key))
         json_get_problem(g, DIAG_ERROR, g->root, "bad-key", NULL,
@@ -387,7 +337,7 @@ static bool read_submission(struct request *r, struct json_get *g, struct submis
         (void)snprintf(s->key, sizeof s->key, "%s", key);
     s->has_key = key != NULL;
     s->body = digest_of(r->body.data, r->body.bytes);
-    return g->problems->error_count == 0;
+    return good && g->problems->error_count == 0;
 }
 
 /* True when the key was used before: answered. */
@@ -428,14 +378,14 @@ void http_post_jobs(struct request *r)
         mem_free(s);
         return;
     }
-    enum err e = chunks_check_package(r->farm->chunks, &s->package, package_checked, s);
+    enum err e = chunks_check_package(r->farm->chunks, &s->asked.package, package_checked, s);
     if (e == ERR_OK) {
         request_wait(r);
         return;
     }
     struct buf missing;
     buf_init(&missing);
-    buf_put(&missing, &s->package, sizeof s->package);
+    buf_put(&missing, &s->asked.package, sizeof s->asked.package);
     if (e == ERR_NOT_FOUND)
         reply_missing(r, &missing);
     else
@@ -460,15 +410,14 @@ static void change_stored(void *ctx, enum err e)
 }
 
 /* Carries out one change; answers at once when it cannot be. */
-static void change(struct request *r, struct job *job, int state, bool has_priority,
-                   int32_t priority)
+static void change(struct request *r, struct job *job, const struct http_change_body *to)
 {
     struct later *later = request_later(r);
     if (!later)
         return;
-    enum err e = has_priority
-                     ? jobs_set_priority(r->farm, job, priority, change_stored, later)
-                     : jobs_set_state(r->farm, job, (enum job_state)state, change_stored, later);
+    enum err e = to->has_priority
+                     ? jobs_set_priority(r->farm, job, to->priority, change_stored, later)
+                     : jobs_set_state(r->farm, job, to->state, change_stored, later);
     if (e == ERR_OK) {
         request_wait(r);
         return;
@@ -489,25 +438,19 @@ void http_patch_job(struct request *r)
     struct diag_list problems;
     if (!job || !request_json(r, &g, &problems, keys, 2))
         return;
-    int state = -1;
-    double priority = 0;
-    bool has_priority = json_get_member(g.root, "priority") != NULL;
-    (void)json_get_choice(&g, g.root, "state", job_state_names, JOB_STATE_COUNT, &state);
-    (void)json_get_number(&g, g.root, "priority", -1000000, 1000000, &priority);
-    if (problems.error_count == 0 && (state >= 0) == has_priority)
-        json_get_problem(&g, DIAG_ERROR, g.root, "bad-change", NULL,
-                         "must have one of \"state\" and \"priority\"");
+    struct http_change_body to;
+    enum err e = http_body_change(&g, &to);
     const char *tag = request_head(r, "If-Match");
     char current[32];
     (void)snprintf(current, sizeof current, "\"r%" PRIu64 "\"", job->rev);
-    if (problems.error_count > 0)
+    if (e != ERR_OK)
         request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-change", "nothing was changed",
                          &problems);
     else if (tag && strcmp(tag, current) != 0 && strcmp(tag, "*") != 0)
         request_problem(r, MHD_HTTP_PRECONDITION_FAILED, "stale",
                         "the job has changed; read it again");
     else
-        change(r, job, state, has_priority, (int32_t)priority);
+        change(r, job, &to);
     json_get_close(&g);
     diag_release(&problems);
 }

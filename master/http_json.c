@@ -3,7 +3,8 @@
 #include <math.h>
 
 #include "common/mem.h"
-#include "master/http_impl.h"
+#include "common/json_put.h"
+#include "master/http_body.h"
 
 /* The value after `v` in a walk of the tree under `top`; closes what ends on the way. */
 static const struct json *step(struct buf *b, const struct json *v, const struct json *top)
