@@ -278,6 +278,15 @@ static uint64_t lease_left_ms(const struct sched *s, const struct lease *l)
     return elapsed_ms - expected_ms;
 }
 
+/* What may kill whoever renders it is not copied in haste, and never once it is rendered alone. But
+ * it must not wait for the end of a hung worker's patience either. */
+static bool copy_allowed(const struct sched *s, const struct lease *l)
+{
+    if (!l->owner || l->alone)
+        return false;
+    return l->suspect == SLOT_NONE || (s->now_ms - l->leased_ms) / 2 > l->expected_ms;
+}
+
 /* The lease of the job that is worth copying to this worker; SLOT_NONE. */
 static uint32_t copy_candidate(struct sched *s, uint32_t worker, const struct job *j)
 {
@@ -292,8 +301,7 @@ static uint32_t copy_candidate(struct sched *s, uint32_t worker, const struct jo
              i++, l = s->lease_job_links[l].next) {
             const struct lease *lease = &s->leases[l];
             bool here = false;
-            if (!lease->owner || lease->suspect != SLOT_NONE ||
-                twins(s, l, worker, &here) > COPIES_MAX || here)
+            if (!copy_allowed(s, lease) || twins(s, l, worker, &here) > COPIES_MAX || here)
                 continue;
             uint64_t left_ms = lease_left_ms(s, lease);
             uint64_t here_ms = unit_expected_ms(s, w, j, lease->unit);

@@ -334,6 +334,8 @@ void lease_begin(struct sched *s, uint32_t lease)
     s->jobs[l->job].begun++;
 
     /* Nothing is known of its cost before the first result: then be patient. */
+    if (l->expected_ms == 0)
+        l->expected_ms = unit_expected_ms(s, w, &s->jobs[l->job], l->unit);
     uint64_t ms = s->limits.load_ms;
     if (l->expected_ms > 0) {
         ms = (uint64_t)l->expected_ms * s->limits.lease_factor;

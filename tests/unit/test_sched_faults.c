@@ -408,6 +408,28 @@ static void test_idle_worker_copies_the_slowest_lease(void **state)
     assert_int_equal(rig_info(&rig, 1).retried, 0);
 }
 
+/* Simulation, seed 1001646: a unit that had failed once was leased to a worker that hung, before
+ * anything was known of the job's cost. No one copied it, and patience was ten minutes and more. */
+static void test_a_suspect_does_not_wait_for_a_hung_worker(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 200, 1));
+    assert_true(rig_join(&rig, 2, 1));
+    assert_true(unit_failed(2, rig_lease_of(&rig, 2, 0).epoch));
+    assert_true(rig_join(&rig, 1, 1)); /* takes what failed, and hangs */
+    uint64_t start_ms = rig.now_ms;
+    while (rig_info(&rig, 1).state != SCHED_DONE && rig.now_ms - start_ms < 60000) {
+        rig_wait(&rig, 100);
+        while (rig_held(&rig, 2) > 0) {
+            struct rig_lease l = rig_lease_of(&rig, 2, 0);
+            assert_true(rig_result(&rig, &l, 1000 * (uint64_t)l.unit.cell_count, 0));
+        }
+    }
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+    assert_true(rig_info(&rig, 1).speculated > 0);
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 0);
+}
+
 static void test_lost_first_lease_leaves_its_copy(void **state)
 {
     (void)state;
@@ -747,6 +769,7 @@ int main(void)
         TEST(test_unfit_worker_pauses_and_job_fails),
         TEST(test_loading_for_ever_is_unfit),
         TEST(test_idle_worker_copies_the_slowest_lease),
+        TEST(test_a_suspect_does_not_wait_for_a_hung_worker),
         TEST(test_lost_first_lease_leaves_its_copy),
         TEST(test_every_unit_is_rendered_by_two),
         TEST(test_a_check_waits_for_a_second_worker),
