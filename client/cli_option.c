@@ -118,6 +118,34 @@ static bool check_number(const struct cli_option *o, const char *text, struct di
     return false;
 }
 
+/* "0.05" or "5%". */
+static bool parse_share(const char *text, double *out)
+{
+    char number[32];
+    size_t bytes = strlen(text);
+    bool percent = bytes > 0 && text[bytes - 1] == '%';
+    bytes -= percent;
+    if (bytes >= sizeof number)
+        return false;
+    memcpy(number, text, bytes);
+    number[bytes] = '\0';
+    if (!cli_parse_number(number, out))
+        return false;
+    *out /= percent ? 100 : 1;
+    return *out >= 0 && *out <= 1;
+}
+
+static bool check_share(const struct cli_option *o, const char *text, struct diag_list *problems)
+{
+    double value;
+    if (parse_share(text, &value))
+        return true;
+    complain(problems, "bad-value", NULL,
+             "--%s %s: must be a share from 0 to 1, or 0%% to 100%%, as in 0.05 or 5%%", o->name,
+             text);
+    return false;
+}
+
 bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *problems)
 {
     const struct cli_option *o = &cli_options[id];
@@ -128,6 +156,8 @@ bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *
         return check_count(o, text, problems);
     case CLI_NUMBER:
         return check_number(o, text, problems);
+    case CLI_SHARE:
+        return check_share(o, text, problems);
     case CLI_SIZE:
     case CLI_CROP:
         return check_rectangle(o, text, problems);
@@ -327,6 +357,14 @@ double cli_number(const struct cli_line *line, enum cli_option_id id)
 {
     double value = 0;
     bool ok = cli_parse_number(cli_text(line, id), &value);
+    TL_ASSERT(ok);
+    return value;
+}
+
+double cli_share(const struct cli_line *line, enum cli_option_id id)
+{
+    double value = 0;
+    bool ok = parse_share(cli_text(line, id), &value);
     TL_ASSERT(ok);
     return value;
 }

@@ -57,6 +57,7 @@ enum cli_kind {
     CLI_PATH,
     CLI_COUNT,  /* whole number within low..high */
     CLI_NUMBER, /* finite, above low and at most high */
+    CLI_SHARE,  /* 0 to 1, or 0% to 100% */
     CLI_SIZE,   /* WxH */
     CLI_CROP,   /* X,Y,W,H */
     CLI_CHOICE,
@@ -76,6 +77,7 @@ enum cli_option_id {
     CLI_SAMPLER,
     CLI_MAX_DEPTH,
     CLI_TILE,
+    CLI_VERIFY,
     CLI_PRECISION,
     CLI_BUILDER,
     CLI_INTERSECTOR,
@@ -150,6 +152,7 @@ bool cli_has(const struct cli_line *line, enum cli_option_id id);
 const char *cli_text(const struct cli_line *line, enum cli_option_id id);
 uint64_t cli_count(const struct cli_line *line, enum cli_option_id id);
 double cli_number(const struct cli_line *line, enum cli_option_id id);
+double cli_share(const struct cli_line *line, enum cli_option_id id);
 int cli_choice(const struct cli_line *line, enum cli_option_id id);
 void cli_size(const struct cli_line *line, uint32_t *width, uint32_t *height);
 struct job_crop cli_crop(const struct cli_line *line);

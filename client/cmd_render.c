@@ -50,6 +50,25 @@ static bool ends_in(const char *path, const char *suffix)
     return a > b && strcmp(path + a - b, suffix) == 0;
 }
 
+/* What is verified needs a second worker. */
+static uint32_t worker_count(const struct cli_line *line)
+{
+    if (cli_has(line, CLI_WORKER_COUNT))
+        return (uint32_t)cli_count(line, CLI_WORKER_COUNT);
+    uint32_t workers = cli_default_workers();
+    bool verify = cli_has(line, CLI_VERIFY) && cli_share(line, CLI_VERIFY) > 0;
+    return verify && workers < 2 ? 2 : workers;
+}
+
+static int check_verify(const struct cli_line *line)
+{
+    if (!cli_has(line, CLI_VERIFY) || cli_share(line, CLI_VERIFY) == 0 || worker_count(line) > 1)
+        return EXIT_DONE;
+    cli_error("bad-value", "give --workers 2 or more",
+              "--verify compares the bits of two workers, and there would be one");
+    return EXIT_USAGE;
+}
+
 static int check_line(const struct cli_line *line)
 {
     static const enum cli_option_id ids[] = {CLI_OUTPUT, CLI_PNG, CLI_REPORT};
@@ -77,7 +96,7 @@ static int check_line(const struct cli_line *line)
         if (e != ERR_OK)
             return cli_cannot_write(cli_text(line, ids[i]), e, errno, 0, NULL);
     }
-    return EXIT_DONE;
+    return check_verify(line);
 }
 
 /* Memory that can be had without swapping; 0: not known. */
@@ -159,8 +178,7 @@ static int farm_failed(struct render *r)
 static int start_farm(struct render *r)
 {
     const struct cli_line *line = &r->cli->line;
-    uint32_t workers = cli_has(line, CLI_WORKER_COUNT) ? (uint32_t)cli_count(line, CLI_WORKER_COUNT)
-                                                       : cli_default_workers();
+    uint32_t workers = worker_count(line);
     uint32_t threads = cli_has(line, CLI_THREADS) ? (uint32_t)cli_count(line, CLI_THREADS)
                                                   : cli_default_threads(workers);
     enum err e = private_farm_start(&r->farm, workers, threads);

@@ -65,6 +65,8 @@ static void apply_options(struct load *load, const struct cli_line *line)
         spec->max_depth = (uint32_t)cli_count(line, CLI_MAX_DEPTH);
     if (cli_has(line, CLI_TILE))
         spec->tile = (uint32_t)cli_count(line, CLI_TILE);
+    if (cli_has(line, CLI_VERIFY))
+        spec->verify = cli_share(line, CLI_VERIFY);
 }
 
 /* Problems that come from the options and not from the file. */

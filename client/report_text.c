@@ -97,6 +97,8 @@ static void put_farm(const struct json *r, struct buf *out)
         buf_printf(out, "; %.0f units, %.0f retried, %.0f rejected",
                    reply_number(units, "total", 0), reply_number(units, "retried", 0),
                    reply_number(units, "rejected", 0));
+    if (units && reply_number(units, "verified", 0) > 0)
+        buf_printf(out, ", %.0f verified", reply_number(units, "verified", 0));
     buf_printf(out, "\n");
 }
 

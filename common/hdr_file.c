@@ -155,6 +155,9 @@ enum err hdr_read(const void *data, size_t bytes, const char *file, struct scene
     struct scene_image image;
     uint64_t width = 0, height = 0;
     TL_TRY(parse_header(&r, &width, &height));
+    /* Every row takes one pixel at least: few bytes must not claim much memory. */
+    if (left(&r) / 4 < height)
+        return cut_short(&r);
     TL_TRY(image_alloc(width, height, 3, SCENE_IMAGE_F32, file, &image, problems));
     enum err e = read_rows(&r, &image);
     if (e == ERR_OK)

@@ -98,6 +98,7 @@ bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
     good &= check(s->tile >= 1 && s->tile <= JOB_TILE_MAX, problems, "$.tile", "1 to 65535");
     good &= check(s->filter_radius > 0 && s->filter_radius <= FILTER_RADIUS_MAX, problems,
                   "$.filter_radius", "over 0, at most 64 pixels");
+    good &= check(within(s->verify, 0, 1), problems, "$.verify", "a share from 0 to 1");
     good &= check(within(s->filter_alpha, 0, limit), problems, "$.filter_alpha", "0 to 1000000");
     good &= check(within(s->filter_b, -limit, limit), problems, "$.filter_b", "a finite number");
     good &= check(within(s->filter_c, -limit, limit), problems, "$.filter_c", "a finite number");
@@ -124,6 +125,7 @@ char *job_spec_to_json(const struct job_spec *s)
                (unsigned long long)s->spp);
     buf_printf(&b, ",\"seed\":\"%llu\",\"max_depth\":%u,\"tile\":%u", (unsigned long long)s->seed,
                s->max_depth, s->tile);
+    put_number(&b, "verify", s->verify);
     put_number(&b, "rr_threshold", s->rr_threshold);
     buf_printf(&b, ",\"integrator\":\"%s\",\"profile\":\"%s\",\"sampler\":\"%s\",\"filter\":\"%s\"",
                job_integrator_names[s->integrator], job_profile_names[s->profile],
@@ -191,7 +193,7 @@ static void read_fields(struct json_get *g, struct job_spec *s)
         "width",        "height",  "crop",        "spp",          "seed",
         "max_depth",    "tile",    "integrator",  "rr_threshold", "profile",
         "sampler",      "filter",  "filter_b",    "filter_c",     "filter_radius",
-        "filter_alpha", "builder", "intersector", "precision",
+        "filter_alpha", "builder", "intersector", "precision",    "verify",
     };
     const struct json *o = g->root;
     const double limit = FILTER_PARAMETER_MAX;
@@ -203,6 +205,7 @@ static void read_fields(struct json_get *g, struct job_spec *s)
     (void)json_get_u64_text(g, o, "seed", &s->seed);
     (void)json_get_u32(g, o, "max_depth", 1, JOB_DEPTH_MAX, &s->max_depth);
     (void)json_get_u32(g, o, "tile", 1, JOB_TILE_MAX, &s->tile);
+    (void)json_get_number(g, o, "verify", 0, 1, &s->verify);
     (void)json_get_number(g, o, "rr_threshold", 0, limit, &s->rr_threshold);
     (void)json_get_number(g, o, "filter_radius", 0, FILTER_RADIUS_MAX, &s->filter_radius);
     (void)json_get_number(g, o, "filter_alpha", 0, limit, &s->filter_alpha);

@@ -74,6 +74,7 @@ struct job_spec {
     uint32_t max_depth;  /* 1..JOB_DEPTH_MAX */
     double rr_threshold; /* 0: no roulette */
     uint32_t tile;       /* side of a cell in pixels; changes no bit */
+    double verify; /* share of units rendered once more by another worker, 0..1; changes no bit */
     enum job_integrator integrator;
     enum job_profile profile;
     enum job_sampler sampler;

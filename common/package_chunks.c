@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/mem.h"
+#include "common/model_file.h"
 #include "common/package_codec.h"
 
 static const char mesh_magic[4] = {'T', 'L', 'Y', 'M'};
@@ -110,7 +111,10 @@ enum err package_mesh_get(const void *data, size_t bytes, struct scene_mesh *m)
     if (flags & MESH_HAS_UVS)
         m->uvs = get_array(&c, vertices * 2, sizeof(float));
     m->indices = get_array(&c, (size_t)m->triangle_count * 3, sizeof(uint32_t));
-    return codec_end(&c); /* what it holds is judged by scene_valid */
+    enum err e = codec_end(&c); /* what it holds is judged by scene_valid */
+    if (e != ERR_OK)
+        scene_mesh_release(m);
+    return e;
 }
 
 /* --- Images -------------------------------------------------------------- */
@@ -149,5 +153,10 @@ enum err package_image_get(const void *data, size_t bytes, struct scene_image *i
     size_t samples =
         c.error == ERR_OK ? (size_t)image->width * image->height * image->channel_count : 0;
     image->pixels = get_array(&c, samples, sample_bytes(image->format));
-    return codec_end(&c);
+    enum err e = codec_end(&c);
+    if (e != ERR_OK) {
+        mem_free(image->pixels);
+        image->pixels = NULL;
+    }
+    return e;
 }

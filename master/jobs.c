@@ -391,6 +391,7 @@ static enum err admit(struct farm *f, struct job *job)
                     .block_count = job->blocks.count,
                     .cell_cost = samples / ((double)job->grid.cell_count * job->blocks.count),
                     .unit_cells_max = cells_per_result(&job->spec),
+                    .verify_share = job->spec.verify,
                     .priority = job->rec.priority,
                     .paused = job->rec.state == JOB_STATE_PAUSED,
                     .memory = job->sched_memory,

@@ -129,7 +129,6 @@ static const struct option long_options[] = {
     {"help", no_argument, NULL, OPT_HELP},
     {"tls-cert", required_argument, NULL, OPT_LATER},
     {"tls-key", required_argument, NULL, OPT_LATER},
-    {"verify", required_argument, NULL, OPT_LATER},
     {NULL, 0, NULL, 0},
 };
 

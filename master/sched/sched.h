@@ -302,7 +302,7 @@ struct sched_job_info {
     uint64_t units;                           /* results accepted, wholly or in part */
     uint64_t retried;                         /* leases whose cells had been leased before */
     uint64_t speculated;                      /* end-game copies leased */
-    uint64_t rejected;                        /* results ignored */
+    uint64_t rejected;                        /* results ignored, or found to be lies */
     uint64_t compared;                        /* results, or parts, that came twice */
     uint64_t verified;                        /* checks settled */
     uint64_t mismatched;                      /* checks in which someone lied */

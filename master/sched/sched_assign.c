@@ -4,12 +4,13 @@
 enum {
     RUN_CELLS_MAX = 65536, /* cells looked at for one unit */
     SUSPECTS_LOOKED_AT = 8,
-    CHECKS_LOOKED_AT = 8,  /* pending ones that are tried for a worker */
-    COPIES_LOOKED_AT = 16, /* oldest leases among which the slowest is copied */
-    TRIES_COPY = 4,        /* idle workers that are tried for a copy per event */
-    TRIES = 64,            /* workers for which no job may have work per event */
-    CHECK_TAKEN_MS = 1000, /* a worker keeps a check for at least so long */
-    LOAD_GUESS_MS = 10000, /* a scene that must be loaded first delays a copy by so much */
+    CHECKS_LOOKED_AT = 8,   /* pending ones that are tried for a worker */
+    COPIES_LOOKED_AT = 16,  /* oldest leases among which the slowest is copied */
+    TRIES_COPY = 4,         /* idle workers that are tried for a copy per event */
+    TRIES = 64,             /* workers for which no job may have work per event */
+    CHECK_TAKEN_MS = 1000,  /* a worker keeps a check for at least so long */
+    COPY_SUSPECT_MS = 1000, /* and a unit that lost a worker, without a copy */
+    LOAD_GUESS_MS = 10000,  /* a scene that must be loaded first delays a copy by so much */
 };
 
 /* Pixel-samples per second and thread before the first result: only the size of the very first
@@ -278,13 +279,18 @@ static uint64_t lease_left_ms(const struct sched *s, const struct lease *l)
     return elapsed_ms - expected_ms;
 }
 
-/* What may kill whoever renders it is not copied in haste, and never once it is rendered alone. But
- * it must not wait for the end of a hung worker's patience either. */
-static bool copy_allowed(const struct sched *s, const struct lease *l)
+/* What may kill whoever renders it is not copied in haste, and one that is rendered alone only to a
+ * worker that holds nothing. But it must not wait for the end of a hung worker's patience either.
+ */
+static bool copy_allowed(const struct sched *s, const struct lease *l, const struct worker *w)
 {
-    if (!l->owner || l->alone)
+    if (!l->owner)
         return false;
-    return l->suspect == SLOT_NONE || (s->now_ms - l->leased_ms) / 2 > l->expected_ms;
+    if (l->suspect == SLOT_NONE)
+        return true;
+    uint64_t held_ms = s->now_ms - l->leased_ms;
+    return held_ms >= COPY_SUSPECT_MS && held_ms / (l->alone ? 4 : 2) > l->expected_ms &&
+           (!l->alone || w->held == 0);
 }
 
 /* The lease of the job that is worth copying to this worker; SLOT_NONE. */
@@ -301,7 +307,7 @@ static uint32_t copy_candidate(struct sched *s, uint32_t worker, const struct jo
              i++, l = s->lease_job_links[l].next) {
             const struct lease *lease = &s->leases[l];
             bool here = false;
-            if (!copy_allowed(s, lease) || twins(s, l, worker, &here) > COPIES_MAX || here)
+            if (!copy_allowed(s, lease, w) || twins(s, l, worker, &here) > COPIES_MAX || here)
                 continue;
             uint64_t left_ms = lease_left_ms(s, lease);
             uint64_t here_ms = unit_expected_ms(s, w, j, lease->unit);
@@ -354,6 +360,7 @@ static uint32_t lease_copy(struct sched *s, uint32_t worker)
         if (lease == SLOT_NONE)
             return SLOT_NONE;
         lease_join(s, lease, of);
+        s->leases[lease].alone = w->alone = s->leases[of].alone;
         j->speculated++;
         return lease;
     }

@@ -88,6 +88,8 @@ static void check_count_votes(struct sched *s, uint32_t check)
                 continue;
             j->verified++;
             j->mismatched += c.vote_count > 2;
+            for (uint32_t v = 0; v < c.vote_count; v++)
+                j->rejected += c.votes[v].digest != c.votes[a].digest;
             check_free(s, check);
             for (uint32_t v = 0; v < c.vote_count; v++) {
                 if (c.votes[v].digest != c.votes[a].digest)
@@ -218,6 +220,8 @@ void result_feed(struct sched *s, const struct sched_event *e)
 
     if (worker != SLOT_NONE && s->workers[worker].quarantined) {
         scan->why = SCHED_WHY_QUARANTINED;
+        if (job != SLOT_NONE)
+            s->jobs[job].rejected++;
         return;
     }
     if (job == SLOT_NONE || !job_is_live(&s->jobs[job])) {

@@ -160,12 +160,14 @@ class Farm:
     def kill_master(self):
         self.master.kill()
 
-    def worker(self, threads=1, name=None, wait=True, arguments=()):
-        """Starts a worker; waits until it is registered unless told otherwise."""
+    def worker(self, threads=1, name=None, wait=True, arguments=(), master=None):
+        """Starts a worker; waits until it is registered unless told otherwise. `master`: the
+        address where it finds one, in place of the farm's."""
         self.count += 1
         name = name or f"worker{self.count}"
         env = clean_env(**({"TILERY_TOKEN": self.token} if self.token else {}))
-        worker = Daemon(name, ["tilery-worker", "--master", self.listen, "--threads", threads,
+        worker = Daemon(name, ["tilery-worker", "--master", master or self.listen, "--threads",
+                               threads,
                                "--name", name, *arguments],
                         self.folder / f"{name}.log", env)
         self.workers.append(worker)
