@@ -98,6 +98,7 @@ enum cli_option_id {
     CLI_JSON,
     CLI_MASTER,
     CLI_TOKEN_FILE,
+    CLI_TLS_CA,
     CLI_QUIET,
     CLI_PROGRESS,
     CLI_COLOR,

@@ -107,7 +107,10 @@ int farm_open(struct farm *f, const struct cli *cli)
     diag_release(&problems);
     const char *url = cli_text(&cli->line, CLI_MASTER);
     struct http_client_options options = {
-        .base_url = url, .token = token, .interrupted = &signals_interrupts};
+        .base_url = url,
+        .token = token,
+        .ca_file = cli_has(&cli->line, CLI_TLS_CA) ? cli_text(&cli->line, CLI_TLS_CA) : NULL,
+        .interrupted = &signals_interrupts};
     e = http_client_new(&options, &f->http);
     if (token)
         explicit_bzero(token, strlen(token));
@@ -237,6 +240,12 @@ int farm_explain(struct farm *f, enum err e)
     case ERR_CORRUPT:
         cli_error("bad-reply", "is that a tilery-master's HTTP port?",
                   "%s does not answer as a master does", url);
+        return EXIT_FARM;
+    case ERR_UNTRUSTED:
+        cli_error("untrusted",
+                  "name the farm's own authority with --tls-ca FILE or TILERY_TLS_CA; the URL's "
+                  "host must stand in the certificate",
+                  "no trust in the certificate of %s: %s", url, http_client_error(f->http));
         return EXIT_FARM;
     case ERR_NOSPACE:
     case ERR_IO:

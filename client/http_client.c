@@ -18,6 +18,7 @@ struct http_client {
     CURL *easy;
     char *url;
     char *authorization; /* header line, or NULL */
+    char *ca_file;       /* or NULL */
     bool direct;
     const volatile sig_atomic_t *interrupted;
     char error[CURL_ERROR_SIZE];
@@ -61,8 +62,10 @@ enum err http_client_new(const struct http_client_options *options, struct http_
     c->interrupted = options->interrupted;
     if (options->token)
         c->authorization = mem_sprintf("Authorization: Bearer %s", options->token);
+    if (options->ca_file)
+        c->ca_file = mem_sprintf("%s", options->ca_file);
     c->easy = curl_easy_init();
-    if (!c->easy || (options->token && !c->authorization)) {
+    if (!c->easy || (options->token && !c->authorization) || (options->ca_file && !c->ca_file)) {
         http_client_free(c);
         return ERR_NOMEM;
     }
@@ -78,6 +81,7 @@ void http_client_free(struct http_client *c)
     if (c->authorization)
         explicit_bzero(c->authorization, strlen(c->authorization));
     mem_free(c->authorization);
+    mem_free(c->ca_file);
     mem_free(c->url);
     mem_free(c);
 }
@@ -164,6 +168,10 @@ static bool set_common(struct http_client *c, CURL *easy, const char *path)
     (void)curl_easy_setopt(easy, CURLOPT_CONNECTTIMEOUT_MS, (long)CONNECT_MS);
     (void)curl_easy_setopt(easy, CURLOPT_TCP_KEEPALIVE, 1L);
     (void)curl_easy_setopt(easy, CURLOPT_TCP_NODELAY, 1L);
+    if (c->ca_file) {
+        ok &= curl_easy_setopt(easy, CURLOPT_CAINFO, c->ca_file) == CURLE_OK;
+        (void)curl_easy_setopt(easy, CURLOPT_CAPATH, NULL);
+    }
     if (c->direct)
         (void)curl_easy_setopt(easy, CURLOPT_PROXY, "");
     return ok;
@@ -204,6 +212,10 @@ static enum err err_of_curl(CURLcode code)
         return ERR_TIMEOUT;
     case CURLE_ABORTED_BY_CALLBACK:
         return ERR_CANCELLED;
+    case CURLE_PEER_FAILED_VERIFICATION:
+    case CURLE_SSL_CACERT_BADFILE:
+    case CURLE_SSL_ISSUER_ERROR:
+        return ERR_UNTRUSTED;
     case CURLE_SEND_ERROR:
     case CURLE_RECV_ERROR:
     case CURLE_GOT_NOTHING:

@@ -17,6 +17,7 @@ struct http_client; /* opaque */
 struct http_client_options {
     const char *base_url; /* "http://host:port", copied; no path */
     const char *token;    /* bearer token, copied; NULL: none */
+    const char *ca_file;  /* PEM: trust this authority alone, copied; NULL: the system's */
     bool direct;          /* ignore the environment's proxies: the farm is our own child */
     const volatile sig_atomic_t *interrupted; /* may be NULL; outlives the client */
 };

@@ -28,6 +28,7 @@
     X(VERSION, 4, "version mismatch")                                                              \
     X(TIMEOUT, 4, "timed out")                                                                     \
     X(CLOSED, 4, "connection closed")                                                              \
+    X(UNTRUSTED, 4, "certificate not accepted")                                                    \
     X(STATE, 1, "not possible in this state")                                                      \
     X(NOMEM, 5, "out of memory")                                                                   \
     X(IO, 5, "input/output error")                                                                 \

@@ -140,9 +140,10 @@ struct farm {
     uint64_t id;          /* random per data directory */
     uint64_t epoch_limit; /* on disk: no epoch reaches it */
     bool determinism_known;
-    digest determinism;   /* what a worker must have */
-    const char *token;    /* borrowed; NULL: none asked */
-    uint32_t retention_s; /* finished jobs are kept so long; 0: for ever */
+    digest determinism;          /* what a worker must have */
+    const char *token;           /* borrowed; NULL: none asked */
+    const struct tls_party *tls; /* borrowed; NULL: workers come in clear */
+    uint32_t retention_s;        /* finished jobs are kept so long; 0: for ever */
 
     uv_timer_t sched_timer, tick_timer;
     uv_prepare_t settle; /* before the loop sleeps: admits jobs */
@@ -168,6 +169,7 @@ struct farm {
 
 struct farm_options {
     const char *listen, *data_dir, *token;
+    const struct tls_party *tls; /* for workers; NULL: in clear; outlives the farm */
     bool determinism_pinned;
     digest determinism;
     uint32_t retention_s;

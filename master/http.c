@@ -11,9 +11,16 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "common/file_io.h"
 #include "common/log.h"
 #include "common/mem.h"
 #include "master/http_impl.h"
+
+enum {
+    PEM_BYTES_MAX = 1 << 20,
+    ROUNDS_MAX = 32,   /* of libmicrohttpd in one turn of the loop */
+    STALL_MS_MAX = 16, /* between its turns when it asks for more and nothing arrives */
+};
 
 static const struct route routes[] = {
     {"GET", "/", http_get_page, 0, true},
@@ -61,16 +68,26 @@ static void run_daemon(struct http *h)
         return;
     }
     h->running = true;
+    bool waits;
+    MHD_UNSIGNED_LONG_LONG wait_ms;
+    int rounds = 0;
     do {
         h->kicked = false;
         (void)MHD_run(h->daemon);
-    } while (h->kicked);
+        waits = MHD_get_timeout(h->daemon, &wait_ms) == MHD_YES;
+    } while (h->kicked || (waits && wait_ms == 0 && ++rounds < ROUNDS_MAX));
     h->running = false;
-    MHD_UNSIGNED_LONG_LONG wait_ms = 0;
-    if (MHD_get_timeout(h->daemon, &wait_ms) == MHD_YES)
-        (void)uv_timer_start(&h->timer, on_timer, wait_ms, 0);
-    else
+    if (!waits) {
         (void)uv_timer_stop(&h->timer);
+        return;
+    }
+    /* "At once" is also what it says of a TLS handshake that somebody leaves half done: then
+     * less and less often, until something arrives, and never before others had their turn. */
+    if (wait_ms == 0) {
+        wait_ms = h->stall_ms;
+        h->stall_ms = h->stall_ms < STALL_MS_MAX ? h->stall_ms * 2 : STALL_MS_MAX;
+    }
+    (void)uv_timer_start(&h->timer, on_timer, wait_ms, 0);
 }
 
 static void on_timer(uv_timer_t *timer)
@@ -87,7 +104,9 @@ static void on_poll(uv_poll_t *poll, int status, int events)
 {
     (void)status;
     (void)events;
-    run_daemon(poll->data);
+    struct http *h = poll->data;
+    h->stall_ms = 1;
+    run_daemon(h);
 }
 
 void http_kick(struct http *h)
@@ -573,16 +592,59 @@ static enum err listen_on(struct http *h, const char *addr_port, int *fd)
     return e;
 }
 
-static enum err start_daemon(struct http *h, int fd)
+/* libmicrohttpd's part. With TLS it is handed the texts of the PEM files, which it copies. */
+static struct MHD_Daemon *make_daemon(struct http *h, int fd, char *certificate, char *key)
 {
-    h->daemon =
-        MHD_start_daemon(MHD_USE_EPOLL | MHD_ALLOW_SUSPEND_RESUME, 0, NULL, NULL, on_request, h,
-                         MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_NOTIFY_COMPLETED, on_completed, h,
-                         MHD_OPTION_CONNECTION_LIMIT, (unsigned)HTTP_CONNECTIONS_MAX,
-                         MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)HTTP_IDLE_S,
-                         MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)(64 * 1024), MHD_OPTION_END);
-    const union MHD_DaemonInfo *info =
-        h->daemon ? MHD_get_daemon_info(h->daemon, MHD_DAEMON_INFO_EPOLL_FD) : NULL;
+    struct MHD_OptionItem tls[] = {
+        {MHD_OPTION_HTTPS_MEM_CERT, 0, certificate},
+        {MHD_OPTION_HTTPS_MEM_KEY, 0, key},
+        {MHD_OPTION_HTTPS_PRIORITIES, 0, (void *)(uintptr_t)TLS_PRIORITIES},
+        {MHD_OPTION_END, 0, NULL},
+    };
+    struct MHD_OptionItem none[] = {{MHD_OPTION_END, 0, NULL}};
+    unsigned flags = MHD_USE_EPOLL | MHD_ALLOW_SUSPEND_RESUME | (h->secure ? MHD_USE_TLS : 0);
+    return MHD_start_daemon(flags, 0, NULL, NULL, on_request, h, MHD_OPTION_LISTEN_SOCKET, fd,
+                            MHD_OPTION_NOTIFY_COMPLETED, on_completed, h,
+                            MHD_OPTION_CONNECTION_LIMIT, (unsigned)HTTP_CONNECTIONS_MAX,
+                            MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)HTTP_IDLE_S,
+                            MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)(64 * 1024),
+                            MHD_OPTION_ARRAY, h->secure ? tls : none, MHD_OPTION_END);
+}
+
+static enum err read_pem(const char *path, char **out)
+{
+    size_t bytes;
+    enum err e = path ? file_read(path, PEM_BYTES_MAX, out, &bytes) : ERR_OK;
+    if (e != ERR_OK)
+        log_error("master", "cannot read file=%s error=\"%s\"", path, err_text(e));
+    return e == ERR_NOMEM || e == ERR_OK ? e : ERR_INPUT;
+}
+
+static enum err start_microhttpd(struct http *h, int fd, const struct tls_files *tls)
+{
+    char *certificate = NULL, *key = NULL;
+    h->secure = tls->certificate != NULL;
+    enum err e = read_pem(tls->certificate, &certificate);
+    if (e == ERR_OK)
+        e = read_pem(tls->key, &key);
+    if (e == ERR_OK) {
+        h->daemon = make_daemon(h, fd, certificate, key);
+        e = h->daemon ? ERR_OK : h->secure ? ERR_INPUT : ERR_NOMEM;
+        if (e == ERR_INPUT)
+            log_error("master", "HTTP takes no TLS certificate=%s key=%s", tls->certificate,
+                      tls->key);
+    }
+    if (key)
+        explicit_bzero(key, strlen(key));
+    mem_free(key);
+    mem_free(certificate);
+    return e;
+}
+
+static enum err start_daemon(struct http *h, int fd, const struct tls_files *tls)
+{
+    TL_TRY(start_microhttpd(h, fd, tls));
+    const union MHD_DaemonInfo *info = MHD_get_daemon_info(h->daemon, MHD_DAEMON_INFO_EPOLL_FD);
     if (!info || uv_poll_init(h->farm->loop, &h->poll, info->epoll_fd) != 0)
         return ERR_NOMEM;
     (void)uv_timer_init(h->farm->loop, &h->timer);
@@ -604,24 +666,25 @@ static void make_session(struct http *h, const char *token)
     mem_free(text);
 }
 
-enum err http_start(struct farm *f, const char *addr_port, const char *token, struct http **out)
+enum err http_start(struct farm *f, const struct http_options *o, struct http **out)
 {
     struct http *h = mem_calloc(1, sizeof *h);
     int fd = -1;
     if (!h)
         return ERR_NOMEM;
     h->farm = f;
-    h->token = token;
-    if (token)
-        make_session(h, token);
-    enum err e = listen_on(h, addr_port, &fd);
+    h->stall_ms = 1;
+    h->token = o->token;
+    if (o->token)
+        make_session(h, o->token);
+    enum err e = listen_on(h, o->address, &fd);
     if (e != ERR_OK) {
-        log_error("master", "cannot listen for HTTP address=%s error=\"%s\"", addr_port,
+        log_error("master", "cannot listen for HTTP address=%s error=\"%s\"", o->address,
                   e == ERR_USAGE ? "not an ADDRESS:PORT" : err_text(e));
         mem_free(h);
         return e;
     }
-    e = start_daemon(h, fd);
+    e = start_daemon(h, fd, &o->tls);
     if (e != ERR_OK) {
         if (h->daemon)
             MHD_stop_daemon(h->daemon);

@@ -14,14 +14,21 @@
 #define MASTER_HTTP_H
 
 #include "master/farm.h"
+#include "proto/transport_tls.h"
 
 enum { HTTP_CONNECTIONS_MAX = 1000, HTTP_IDLE_S = 60 };
 
 struct http; /* opaque */
 
-/* Binds "ADDR:PORT" (0: any port). `token` (borrowed) NULL: none asked. What went wrong was
- * logged as an error. ERR_USAGE, ERR_ADDRESS, ERR_NOMEM. */
-TL_NODISCARD enum err http_start(struct farm *f, const char *addr_port, const char *token,
+struct http_options {
+    const char *address;  /* "ADDR:PORT"; port 0: any */
+    const char *token;    /* borrowed; NULL: none asked */
+    struct tls_files tls; /* certificate NULL: in clear; `ca` is for workers and not used here */
+};
+
+/* Binds and serves. What went wrong was logged as an error. ERR_USAGE, ERR_ADDRESS, ERR_INPUT (a
+ * PEM file), ERR_NOMEM. */
+TL_NODISCARD enum err http_start(struct farm *f, const struct http_options *options,
                                  struct http **out);
 
 /* "127.0.0.1:8080", with the port really bound. */

@@ -236,8 +236,8 @@ void http_post_session(struct request *r)
     (void)json_get_text(&g, g.root, "token", &token);
     if (http_token_good(r->http, token)) {
         char cookie[DIGEST_HEX_BYTES + 64];
-        (void)snprintf(cookie, sizeof cookie, "tilery=%s; Path=/; HttpOnly; SameSite=Strict",
-                       r->http->session);
+        (void)snprintf(cookie, sizeof cookie, "tilery=%s; Path=/; HttpOnly; SameSite=Strict%s",
+                       r->http->session, r->http->secure ? "; Secure" : "");
         reply_text(r, MHD_HTTP_OK, "application/json", "{\"ok\":true}\n");
         request_header(r, "Set-Cookie", cookie);
     } else {

@@ -51,6 +51,7 @@ struct request {
 struct http {
     struct farm *farm;
     const char *token;              /* borrowed */
+    bool secure;                    /* over TLS */
     char session[DIGEST_HEX_BYTES]; /* cookie of a browser that gave the token */
     bool loopback;
     char address[64];
@@ -59,6 +60,7 @@ struct http {
     uv_timer_t timer, tick;
     int handles_open;
     bool kicked, running, stopping;
+    uint64_t stall_ms;        /* until its next turn when it asks for one and nothing has arrived */
     struct request *requests; /* all that are known to us */
     struct stream *streams;   /* open event streams */
     uint64_t body_bytes;

@@ -11,6 +11,7 @@ struct program {
     uv_loop_t loop;
     struct farm farm;
     struct http *http;
+    struct tls_party *tls;
     uv_signal_t signals[2];
     bool stopping;
 };
@@ -54,16 +55,32 @@ static void raise_file_limit(void)
     (void)setrlimit(RLIMIT_NOFILE, &limit);
 }
 
+static enum err read_tls(struct program *p, const struct options *o)
+{
+    char problem[TLS_PROBLEM_BYTES];
+    if (!o->tls.certificate)
+        return ERR_OK;
+    enum err e = tls_party_new_master(&o->tls, &p->tls, problem);
+    if (e == ERR_INPUT)
+        (void)fprintf(stderr,
+                      "tilery-master: %s\n  expected PEM files: see docs/OPERATIONS.md  [tls]\n",
+                      problem);
+    return e == ERR_INPUT ? ERR_USAGE : e;
+}
+
 static enum err start(struct program *p, const struct options *o)
 {
+    TL_TRY(read_tls(p, o));
     struct farm_options farm = {.listen = o->listen,
                                 .data_dir = o->data,
                                 .token = o->token,
+                                .tls = p->tls,
                                 .determinism_pinned = o->determinism_pinned,
                                 .determinism = o->determinism,
                                 .retention_s = o->retention_s};
     TL_TRY(farm_start(&p->farm, &p->loop, &farm));
-    return http_start(&p->farm, o->http, o->token, &p->http);
+    struct http_options http = {.address = o->http, .token = o->token, .tls = o->tls};
+    return http_start(&p->farm, &http, &p->http);
 }
 
 int main(int argc, char **argv)
@@ -90,6 +107,7 @@ int main(int argc, char **argv)
     }
     (void)uv_run(&p.loop, UV_RUN_DEFAULT);
     farm_release(&p.farm);
+    tls_party_free(p.tls);
     (void)uv_loop_close(&p.loop);
     options_release(&options);
     return status;

@@ -20,6 +20,9 @@ static const char help[] =
     "  --http ADDR:PORT       for people and programs (127.0.0.1:8080; port 0: any)\n"
     "  --data DIR             jobs, results, scenes (./tilery-data); one master each\n"
     "  --token-file F         first line: what workers and people must show\n"
+    "  --tls-cert F           PEM: this master's certificate; all is TLS 1.3 then\n"
+    "  --tls-key F            PEM: its key\n"
+    "  --tls-client-ca F      PEM: workers must show a certificate of this authority\n"
     "  --insecure             allow other than loopback addresses without a token\n"
     "  --determinism-id HEX   accept only workers of this id (else the first one's)\n"
     "  --retention DAYS       keep ended jobs so long (0: for ever, the default)\n"
@@ -92,6 +95,17 @@ static bool check_exposed(const struct options *o, int *status)
                  exposed);
 }
 
+static bool check_tls(const struct options *o, int *status)
+{
+    const struct tls_files *t = &o->tls;
+    if (!t->certificate != !t->key)
+        return wrong(status, "%s is missing: a certificate is of no use without its key",
+                     t->key ? "--tls-cert" : "--tls-key");
+    if (t->ca && !t->certificate)
+        return wrong(status, "%s asks for TLS: give --tls-cert and --tls-key", "--tls-client-ca");
+    return true;
+}
+
 static bool parse_days(const char *text, uint32_t *seconds, int *status)
 {
     char *end = NULL;
@@ -107,13 +121,15 @@ enum {
     OPT_HTTP,
     OPT_DATA,
     OPT_TOKEN,
+    OPT_TLS_CERT,
+    OPT_TLS_KEY,
+    OPT_TLS_CLIENT_CA,
     OPT_INSECURE,
     OPT_DETERMINISM,
     OPT_RETENTION,
     OPT_LOG,
     OPT_VERSION,
-    OPT_HELP,
-    OPT_LATER
+    OPT_HELP
 };
 
 static const struct option long_options[] = {
@@ -121,19 +137,20 @@ static const struct option long_options[] = {
     {"http", required_argument, NULL, OPT_HTTP},
     {"data", required_argument, NULL, OPT_DATA},
     {"token-file", required_argument, NULL, OPT_TOKEN},
+    {"tls-cert", required_argument, NULL, OPT_TLS_CERT},
+    {"tls-key", required_argument, NULL, OPT_TLS_KEY},
+    {"tls-client-ca", required_argument, NULL, OPT_TLS_CLIENT_CA},
     {"insecure", no_argument, NULL, OPT_INSECURE},
     {"determinism-id", required_argument, NULL, OPT_DETERMINISM},
     {"retention", required_argument, NULL, OPT_RETENTION},
     {"log", required_argument, NULL, OPT_LOG},
     {"version", no_argument, NULL, OPT_VERSION},
     {"help", no_argument, NULL, OPT_HELP},
-    {"tls-cert", required_argument, NULL, OPT_LATER},
-    {"tls-key", required_argument, NULL, OPT_LATER},
     {NULL, 0, NULL, 0},
 };
 
 /* One option; false: *status says how to end. */
-static bool take(struct options *o, int option, const char *name, int *status)
+static bool take(struct options *o, int option, int *status)
 {
     switch (option) {
     case OPT_LISTEN:
@@ -149,6 +166,15 @@ static bool take(struct options *o, int option, const char *name, int *status)
         mem_free(o->token);
         o->token = NULL;
         return read_token(optarg, &o->token, status);
+    case OPT_TLS_CERT:
+        o->tls.certificate = optarg;
+        return true;
+    case OPT_TLS_KEY:
+        o->tls.key = optarg;
+        return true;
+    case OPT_TLS_CLIENT_CA:
+        o->tls.ca = optarg;
+        return true;
     case OPT_INSECURE:
         o->insecure = true;
         return true;
@@ -161,8 +187,6 @@ static bool take(struct options *o, int option, const char *name, int *status)
     case OPT_LOG:
         return log_level_parse(optarg, &o->level) ||
                wrong(status, "--log must be error, warn, info, debug or trace, not \"%s\"", optarg);
-    case OPT_LATER:
-        return wrong(status, "--%s is not built yet", name);
     case OPT_VERSION:
         (void)printf("tilery-master %s\n", TILERY_VERSION);
         *status = 0;
@@ -183,15 +207,14 @@ bool options_parse(int argc, char **argv, struct options *out, int *status)
                             .http = "127.0.0.1:8080",
                             .data = "tilery-data",
                             .level = LOG_INFO};
-    int index = 0;
-    for (int option; (option = getopt_long(argc, argv, "", long_options, &index)) != -1;)
-        if (!take(out, option, long_options[index].name, status)) {
+    for (int option; (option = getopt_long(argc, argv, "", long_options, NULL)) != -1;)
+        if (!take(out, option, status)) {
             options_release(out);
             return false;
         }
     bool good = optind >= argc || wrong(status, "unexpected argument \"%s\"", argv[optind]);
     if (good)
-        good = check_addresses(out, status) && check_exposed(out, status);
+        good = check_addresses(out, status) && check_exposed(out, status) && check_tls(out, status);
     if (!good)
         options_release(out);
     return good;

@@ -4,10 +4,12 @@
 
 #include "common/digest.h"
 #include "common/log.h"
+#include "proto/transport_tls.h"
 
 struct options {
     const char *listen, *http, *data; /* of argv, or defaults */
     char *token;                      /* owned; NULL: none */
+    struct tls_files tls;             /* certificate NULL: in clear */
     bool insecure, determinism_pinned;
     digest determinism;
     enum log_level level;

@@ -605,6 +605,7 @@ enum err workers_listen(struct farm *f, const char *address)
                      .body_wanted = body_wanted,
                      .on_close = on_close},
         .ctx = f,
+        .tls = f->tls,
         .handshake_ms = LIMIT_HANDSHAKE_MS,
         /* Any chunk fits beside what must not wait for it; see CHUNKS_QUEUED_BYTES_MAX. */
         .queue_bytes_max = (size_t)LIMIT_CHUNK_BODY_BYTES + CHUNKS_QUEUED_BYTES_MAX * 2,

@@ -3,6 +3,7 @@
 #include <signal.h>
 #include <string.h>
 
+#include "common/log.h"
 #include "common/mem.h"
 #include "proto/transport_impl.h"
 
@@ -41,7 +42,7 @@ static void on_idle(uv_idle_t *idle);
 enum err transport_new(struct uv_loop_s *loop, struct transport **out)
 {
     struct transport *t = mem_calloc(1, sizeof *t);
-    unsigned char *input = mem_alloc(INPUT_BYTES);
+    unsigned char *input = mem_alloc(INPUT_BYTES + PLAIN_BYTES);
     if (!t || !input) {
         mem_free(t);
         mem_free(input);
@@ -49,6 +50,7 @@ enum err transport_new(struct uv_loop_s *loop, struct transport **out)
     }
     t->loop = loop;
     t->input = input;
+    t->plain = input + INPUT_BYTES;
     TAILQ_INIT(&t->conns);
     TAILQ_INIT(&t->waiting);
     TAILQ_INIT(&t->listeners);
@@ -129,6 +131,7 @@ static void free_conn(struct conn *c)
         c->listener->conn_count--;
     uv_freeaddrinfo(c->addresses);
     frame_decoder_release(&c->decoder);
+    tls_link_free(c->link);
     mem_free(c->pending);
     mem_free(c);
     transport_maybe_done(t);
@@ -318,7 +321,7 @@ static void hold_back(struct conn *c, const unsigned char *rest, size_t bytes)
 {
     (void)uv_read_stop((uv_stream_t *)&c->tcp);
     if (bytes > 0) {
-        TL_ASSERT(c->pending_bytes == 0 && bytes <= INPUT_BYTES);
+        TL_ASSERT(c->pending_bytes == 0 && bytes <= PLAIN_BYTES);
         c->pending = mem_alloc(bytes);
         if (!c->pending) {
             conn_close(c, ERR_NOMEM);
@@ -332,12 +335,9 @@ static void hold_back(struct conn *c, const unsigned char *rest, size_t bytes)
         enter_waiting(c);
 }
 
-/* All input passes here, from the socket to the decoder. */
+/* All input passes here, from the socket or from its decryption to the decoder. */
 static void take_input(struct conn *c, const unsigned char *data, size_t bytes)
 {
-    c->counts.bytes_in += bytes;
-    c->heard_ms = uv_now(c->transport->loop);
-    c->suspect = false;
     if (c->state == CONN_FINISHING)
         return;
     size_t used = decode(c, data, bytes);
@@ -352,21 +352,74 @@ static void on_alloc(uv_handle_t *handle, size_t suggested, uv_buf_t *out)
     *out = uv_buf_init((char *)c->transport->input, INPUT_BYTES);
 }
 
+/* The peer sends no more: `status` is UV_EOF, or what broke. */
+static void input_ended(struct conn *c, int status)
+{
+    if (c->state == CONN_FINISHING)
+        conn_close(c, c->why);
+    else if (status == UV_EOF && is_open(c) && frame_decoder_idle(&c->decoder))
+        conn_close(c, ERR_OK);
+    else
+        conn_close(c, transport_error(status));
+}
+
+static enum err send_sealed(struct conn *c);
+static void conn_ready(struct conn *c);
+
+/* Brings the TLS handshake on; true once the connection is open. */
+static bool shake(struct conn *c, size_t bytes)
+{
+    enum err e = tls_link_shake(c->link);
+    enum err sent = send_sealed(c);
+    if (e == ERR_AGAIN && (c->early_bytes += bytes) > LIMIT_EARLY_BYTES)
+        e = ERR_LIMIT;
+    else if (e == ERR_AGAIN)
+        e = ERR_OK;
+    else if (e == ERR_OK)
+        conn_ready(c);
+    else
+        log_warn("transport", "tls failed peer=%s why=\"%s\"", c->peer, tls_link_problem(c->link));
+    if (c->state != CONN_CLOSING && (e != ERR_OK || sent != ERR_OK))
+        conn_close(c, e != ERR_OK ? e : sent);
+    return is_open(c);
+}
+
+/* What a socket with TLS has read. */
+static void take_sealed(struct conn *c, const unsigned char *data, size_t bytes)
+{
+    unsigned char *plain = c->transport->plain;
+    size_t plain_bytes;
+    tls_link_feed(c->link, data, bytes);
+    if (c->state == CONN_SHAKING && !shake(c, bytes))
+        return;
+    enum err e = tls_link_open(c->link, plain, PLAIN_BYTES, &plain_bytes);
+    enum err sent = send_sealed(c); /* a changed key is answered */
+    if (plain_bytes > 0)
+        take_input(c, plain, plain_bytes);
+    if (c->state == CONN_CLOSING)
+        return;
+    if (e == ERR_CLOSED)
+        input_ended(c, UV_EOF);
+    else if (e != ERR_OK || sent != ERR_OK)
+        conn_close(c, e != ERR_OK ? e : sent);
+}
+
 static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *input)
 {
     struct conn *c = stream->data;
     if (c->state == CONN_CLOSING || bytes == 0)
         return;
-    if (bytes > 0) {
-        take_input(c, (const unsigned char *)input->base, (size_t)bytes);
+    if (bytes < 0) {
+        input_ended(c, (int)bytes);
         return;
     }
-    if (c->state == CONN_FINISHING)
-        conn_close(c, c->why);
-    else if (bytes == UV_EOF && frame_decoder_idle(&c->decoder))
-        conn_close(c, ERR_OK);
+    c->counts.bytes_in += (size_t)bytes;
+    c->heard_ms = uv_now(c->transport->loop);
+    c->suspect = false;
+    if (c->link)
+        take_sealed(c, (const unsigned char *)input->base, (size_t)bytes);
     else
-        conn_close(c, transport_error((int)bytes));
+        take_input(c, (const unsigned char *)input->base, (size_t)bytes);
 }
 
 static void start_reading(struct conn *c)
@@ -425,10 +478,6 @@ void conn_pause(struct conn *c, bool paused)
 void conn_opened(struct conn *c)
 {
     TL_ASSERT(c->state == CONN_CONNECTING);
-    c->state = CONN_OPEN;
-    struct frame_rules rules = {
-        .peer_side = c->options.peer_side, .body_wanted = body_wanted, .ctx = c};
-    frame_decoder_init(&c->decoder, &rules);
     (void)uv_tcp_nodelay(&c->tcp, 1);
     (void)uv_tcp_keepalive(&c->tcp, 1, KEEPALIVE_SECONDS);
     struct sockaddr_storage address = {0};
@@ -436,6 +485,29 @@ void conn_opened(struct conn *c)
     if (uv_tcp_getpeername(&c->tcp, (struct sockaddr *)&address, &address_bytes) == 0)
         transport_address_text((struct sockaddr *)&address, c->peer, sizeof c->peer);
     c->heard_ms = uv_now(c->transport->loop);
+    if (!c->options.tls) {
+        conn_ready(c);
+        return;
+    }
+    c->state = CONN_SHAKING;
+    const char *host = c->options.peer_side == FRAME_SIDE_MASTER ? c->host : NULL;
+    enum err e = tls_link_new(c->options.tls, host, &c->link);
+    if (e != ERR_OK) {
+        conn_close(c, e);
+        return;
+    }
+    start_reading(c);
+    if (c->state == CONN_SHAKING)
+        (void)shake(c, 0); /* the worker speaks first */
+}
+
+/* Frames may come and go from now on. */
+static void conn_ready(struct conn *c)
+{
+    c->state = CONN_OPEN;
+    struct frame_rules rules = {
+        .peer_side = c->options.peer_side, .body_wanted = body_wanted, .ctx = c};
+    frame_decoder_init(&c->decoder, &rules);
     start_reading(c);
     if (is_open(c) && c->options.handlers.on_open)
         c->options.handlers.on_open(c->options.ctx, c);
@@ -443,14 +515,24 @@ void conn_opened(struct conn *c)
 
 /* --- Sending -------------------------------------------------------------------- */
 
-/* One frame on its way: header and meta at the end of the struct, body shared. */
+/* One frame on its way: header and meta at the end of the struct, body shared; under TLS all of
+ * it encrypted, or what the handshake says, in `sealed`. */
 struct send {
     uv_write_t request;
     struct conn *conn;
     struct blob *body;
+    unsigned char *sealed; /* owned */
     size_t bytes;
+    uint32_t frames; /* 1, or 0 for bytes of TLS's own */
     unsigned char head[];
 };
+
+static void send_free(struct send *s)
+{
+    blob_unref(s->body);
+    mem_free(s->sealed);
+    mem_free(s);
+}
 
 static void on_written(uv_write_t *request, int status)
 {
@@ -458,11 +540,10 @@ static void on_written(uv_write_t *request, int status)
     struct conn *c = s->conn;
     c->queue_bytes -= s->bytes;
     if (status == 0) {
-        c->counts.frames_out++;
+        c->counts.frames_out += s->frames;
         c->counts.bytes_out += s->bytes;
     }
-    blob_unref(s->body);
-    mem_free(s);
+    send_free(s);
     if (status < 0 && c->state != CONN_CLOSING) {
         conn_close(c, transport_error(status));
         return;
@@ -474,23 +555,74 @@ static void on_written(uv_write_t *request, int status)
     }
 }
 
-/* All output passes here, from the queue to the socket. */
-static enum err put_output(struct conn *c, struct send *s, size_t head_bytes)
+/* All output passes here, from the queue to the socket. Takes `s`, whatever happens. */
+static enum err put_output(struct conn *c, struct send *s, uv_buf_t *parts, unsigned count)
 {
+    s->request.data = s;
+    s->conn = c;
+    s->bytes = 0;
+    for (unsigned i = 0; i < count; i++)
+        s->bytes += parts[i].len;
+    int status = uv_write(&s->request, (uv_stream_t *)&c->tcp, parts, count, on_written);
+    if (status < 0) {
+        send_free(s);
+        return transport_error(status);
+    }
+    c->queue_bytes += s->bytes;
+    return ERR_OK;
+}
+
+/* Hands what TLS has ready to the socket. Takes `s`. */
+static enum err put_sealed(struct conn *c, struct send *s)
+{
+    struct buf *output = tls_link_output(c->link);
+    uv_buf_t part = uv_buf_init((char *)output->data, (unsigned)output->bytes);
+    s->sealed = output->data;
+    buf_init(output);
+    return put_output(c, s, &part, 1);
+}
+
+/* The same for bytes of TLS's own: of the handshake, a changed key, the end. */
+static enum err send_sealed(struct conn *c)
+{
+    if (tls_link_output(c->link)->bytes == 0)
+        return ERR_OK;
+    struct send *s = mem_calloc(1, sizeof *s);
+    return s ? put_sealed(c, s) : ERR_NOMEM;
+}
+
+/* Takes `s`. A record that was numbered but not sent would break all that follow it: then the
+ * connection is closed. */
+static enum err put_frame_sealed(struct conn *c, struct send *s, size_t head_bytes)
+{
+    enum err e = tls_link_seal(c->link, s->head, head_bytes);
+    if (e == ERR_OK && s->body)
+        e = tls_link_seal(c->link, blob_data(s->body), blob_bytes(s->body));
+    blob_unref(s->body);
+    s->body = NULL;
+    if (e == ERR_OK)
+        return put_sealed(c, s);
+    send_free(s);
+    conn_close(c, e);
+    return e;
+}
+
+static enum err put_frame(struct conn *c, struct send *s, size_t head_bytes)
+{
+    if (c->link)
+        return put_frame_sealed(c, s, head_bytes);
     uv_buf_t parts[2] = {uv_buf_init((char *)s->head, (unsigned)head_bytes)};
     unsigned count = 1;
     if (s->body && blob_bytes(s->body) > 0)
         parts[count++] =
             uv_buf_init((char *)(uintptr_t)blob_data(s->body), (unsigned)blob_bytes(s->body));
-    s->request.data = s;
-    int status = uv_write(&s->request, (uv_stream_t *)&c->tcp, parts, count, on_written);
-    return status < 0 ? transport_error(status) : ERR_OK;
+    return put_output(c, s, parts, count);
 }
 
 enum err conn_send(struct conn *c, const struct message *m, struct blob *body)
 {
     if (!is_open(c))
-        return c->state == CONN_CONNECTING ? ERR_STATE : ERR_CLOSED;
+        return c->state < CONN_OPEN ? ERR_STATE : ERR_CLOSED;
     unsigned char meta[MESSAGE_BYTES_MAX];
     size_t meta_bytes, body_bytes = body ? blob_bytes(body) : 0;
     TL_TRY(message_encode(m, meta, &meta_bytes));
@@ -506,20 +638,12 @@ enum err conn_send(struct conn *c, const struct message *m, struct blob *body)
     struct send *s = mem_alloc(sizeof *s + FRAME_HEADER_BYTES + meta_bytes);
     if (!s)
         return ERR_NOMEM;
-    *s = (struct send){.conn = c, .bytes = bytes, .body = body ? blob_ref(body) : NULL};
+    *s = (struct send){.frames = 1, .body = body ? blob_ref(body) : NULL};
     struct frame_header header = {
         .type = m->type, .meta_bytes = (uint32_t)meta_bytes, .body_bytes = (uint32_t)body_bytes};
     frame_header_encode(&header, s->head);
     memcpy(s->head + FRAME_HEADER_BYTES, meta, meta_bytes);
-
-    enum err e = put_output(c, s, FRAME_HEADER_BYTES + meta_bytes);
-    if (e != ERR_OK) {
-        blob_unref(s->body);
-        mem_free(s);
-        return e;
-    }
-    c->queue_bytes += bytes;
-    return ERR_OK;
+    return put_frame(c, s, FRAME_HEADER_BYTES + meta_bytes);
 }
 
 static void on_shutdown(uv_shutdown_t *request, int status)
@@ -531,7 +655,7 @@ static void on_shutdown(uv_shutdown_t *request, int status)
 
 void conn_finish(struct conn *c, enum err why)
 {
-    if (c->state == CONN_CONNECTING) {
+    if (c->state < CONN_OPEN) {
         conn_close(c, why);
         return;
     }
@@ -540,6 +664,11 @@ void conn_finish(struct conn *c, enum err why)
     c->state = CONN_FINISHING;
     c->why = why;
     leave_waiting(c);
+    if (c->link) {
+        tls_link_bye(c->link);
+        enum err ignored = send_sealed(c); /* the frames before it say all that counts */
+        (void)ignored;
+    }
     c->shutdown.data = c;
     if (uv_shutdown(&c->shutdown, (uv_stream_t *)&c->tcp, on_shutdown) < 0) {
         conn_close(c, why);
@@ -584,6 +713,11 @@ void *conn_ctx(const struct conn *c)
 const char *conn_peer(const struct conn *c)
 {
     return c->peer;
+}
+
+const char *conn_problem(const struct conn *c)
+{
+    return c->link ? tls_link_problem(c->link) : "";
 }
 
 size_t conn_queued_bytes(const struct conn *c)

@@ -9,6 +9,8 @@
  *                                                +---> CLOSING <-------+
  *                                                    on_close, once, last
  *
+ * With TLS (conn_options.tls) a connection is open once both sides have shaken hands.
+ *
  * Before conn_accept a connection may send and receive nothing but Hello, Welcome
  * and Refuse, may make us hold LIMIT_EARLY_BYTES at most, and is closed with
  * ERR_TIMEOUT after handshake_ms. After it, silence of silence_ms closes it.
@@ -20,15 +22,13 @@
  * here may be called from any callback until then, and on a closing connection
  * does nothing (conn_send: ERR_CLOSED). Thread: the loop's. struct blob: any.
  *
- * Encryption belongs between socket and decoder and changes no signature here: all input passes
- * one function, all output another.
- *
- * Tests: test_transport.
+ * Tests: test_wire_conn, tests/e2e/test_e2e_tls.py.
  */
 #ifndef PROTO_TRANSPORT_H
 #define PROTO_TRANSPORT_H
 
 #include "proto/message.h"
+#include "proto/transport_tls.h"
 
 struct uv_loop_s;
 
@@ -81,18 +81,20 @@ struct conn_handlers {
 
     /* Called exactly once, last. ERR_OK: closed by conn_close(ERR_OK) or by the peer between
      * frames; ERR_CORRUPT, ERR_LIMIT, ERR_VERSION: the peer broke the protocol; ERR_UNREACHABLE: no
-     * connection could be made; ERR_TIMEOUT; ERR_CLOSED: reset or cut off within a frame; ... */
+     * connection could be made; ERR_UNTRUSTED: one side did not accept the other's certificate
+     * (conn_problem says why); ERR_TIMEOUT; ERR_CLOSED: reset or cut off within a frame; ... */
     void (*on_close)(void *ctx, struct conn *c, enum err why);
 };
 
 struct conn_options {
     int peer_side; /* enum frame_side: FRAME_SIDE_WORKER on a master */
     struct conn_handlers handlers;
-    void *ctx;              /* of the handlers, until conn_set_ctx changes it */
-    uint32_t handshake_ms;  /* 0: LIMIT_HANDSHAKE_MS */
-    uint32_t silence_ms;    /* 0: silence is never fatal; conn_set_silence changes it */
-    size_t queue_bytes_max; /* to be sent; 0: 1 MiB. One frame more than it fits is still taken
-                             * when the queue is empty, so that any one frame can be sent. */
+    void *ctx;                   /* of the handlers, until conn_set_ctx changes it */
+    uint32_t handshake_ms;       /* 0: LIMIT_HANDSHAKE_MS */
+    uint32_t silence_ms;         /* 0: silence is never fatal; conn_set_silence changes it */
+    size_t queue_bytes_max;      /* to be sent; 0: 1 MiB. One frame more than it fits is still taken
+                                  * when the queue is empty, so that any one frame can be sent. */
+    const struct tls_party *tls; /* NULL: in clear; outlives the transport */
 };
 
 /* Starts to resolve and connect to "HOST:PORT" ("[v6]:PORT"), every address in turn. ERR_USAGE: not
@@ -130,6 +132,9 @@ void conn_set_silence(struct conn *c, uint32_t silence_ms);
 
 /* "127.0.0.1:40512", or the text given to conn_connect until it is open. */
 const char *conn_peer(const struct conn *c);
+
+/* What was wrong with TLS, in words; "" when nothing was. */
+const char *conn_problem(const struct conn *c);
 
 size_t conn_queued_bytes(const struct conn *c);
 

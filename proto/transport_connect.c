@@ -8,7 +8,7 @@
 #include "common/mem.h"
 #include "proto/transport_impl.h"
 
-enum { BACKLOG = 1024, HOST_BYTES = 256, PORT_BYTES = 6 };
+enum { BACKLOG = 1024, PORT_BYTES = 6 };
 
 void transport_address_text(const struct sockaddr *address, char *out, size_t bytes)
 {
@@ -138,6 +138,7 @@ enum err conn_connect(struct transport *t, const char *host_port,
     if (!c)
         return ERR_NOMEM;
     (void)snprintf(c->peer, sizeof c->peer, "%s", host_port);
+    memcpy(c->host, host, sizeof c->host);
 
     struct addrinfo hints = {.ai_family = AF_UNSPEC, .ai_socktype = SOCK_STREAM};
     c->resolve.data = c;

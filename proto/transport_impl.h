@@ -13,9 +13,14 @@
 
 #include "proto/transport.h"
 
-enum { INPUT_BYTES = 64 * 1024, PEER_BYTES = 128 };
+enum {
+    INPUT_BYTES = 64 * 1024,               /* of one read */
+    PLAIN_BYTES = INPUT_BYTES + 20 * 1024, /* of one read and a TLS record begun before it */
+    PEER_BYTES = 128,
+    HOST_BYTES = 256,
+};
 
-enum conn_state { CONN_CONNECTING, CONN_OPEN, CONN_FINISHING, CONN_CLOSING };
+enum conn_state { CONN_CONNECTING, CONN_SHAKING, CONN_OPEN, CONN_FINISHING, CONN_CLOSING };
 
 struct conn {
     struct transport *transport;
@@ -25,6 +30,7 @@ struct conn {
     enum conn_state state;
     enum err why; /* for on_close */
     bool accepted, paused, suspect;
+    struct tls_link *link; /* NULL: in clear, or not connected yet */
 
     uv_tcp_t tcp;
     uv_timer_t timer;
@@ -37,11 +43,12 @@ struct conn {
     bool resolving;
     uv_connect_t connect;
     struct addrinfo *addresses, *address_next;
+    char host[HOST_BYTES]; /* that was dialled: what the master's certificate must bear */
 
     /* Receiving. */
     struct frame_decoder decoder;
     bool in_message;        /* conn_take_body is legal */
-    unsigned char *pending; /* read but not decoded yet: INPUT_BYTES at most; owned */
+    unsigned char *pending; /* read but not decoded yet: PLAIN_BYTES at most; owned */
     size_t pending_at, pending_bytes;
     uint32_t turn_frames, turn_bytes;
     size_t early_bytes;
@@ -70,8 +77,9 @@ struct listener {
 
 struct transport {
     uv_loop_t *loop;
-    uv_idle_t idle; /* runs while someone waits for the next turn */
-    unsigned char *input;
+    uv_idle_t idle;       /* runs while someone waits for the next turn */
+    unsigned char *input; /* what was just read: INPUT_BYTES */
+    unsigned char *plain; /* the same decrypted: PLAIN_BYTES */
     TAILQ_HEAD(, conn) conns;
     TAILQ_HEAD(, conn) waiting;
     size_t waiting_count;

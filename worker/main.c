@@ -21,6 +21,10 @@ static const char help[] =
     "Renders what the master leases to it, until it is told to stop.\n"
     "\n"
     "  --master HOST:PORT  the master's --listen address\n"
+    "  --tls               speak TLS 1.3, trust what this system trusts\n"
+    "  --tls-ca F          speak TLS 1.3, trust the authority in this PEM file alone\n"
+    "  --tls-cert F        PEM: this worker's certificate, for a master with --tls-client-ca\n"
+    "  --tls-key F         PEM: its key\n"
     "  --threads N         render threads (the cores this process may use)\n"
     "  --name S            how the worker is shown (the host's name)\n"
     "  --tag T             a word that jobs may ask for; up to 8 times\n"
@@ -45,6 +49,7 @@ struct program {
     struct pool *pool;
     struct chunk_cache *cache;
     struct session *session;
+    struct tls_party *tls;
     int exit_status, signals;
     bool closing;
 
@@ -53,7 +58,8 @@ struct program {
     const char *tags[LIMIT_TAGS];
     uint32_t tag_count, threads;
     uint64_t cache_mib, memory_mib;
-    bool print_id;
+    bool print_id, wants_tls;
+    struct tls_files tls_files;
     char host[HOST_BYTES];
 };
 
@@ -94,6 +100,10 @@ static uint64_t half_of_memory_mib(void)
 
 enum {
     OPTION_MASTER = 256,
+    OPTION_TLS,
+    OPTION_TLS_CA,
+    OPTION_TLS_CERT,
+    OPTION_TLS_KEY,
     OPTION_THREADS,
     OPTION_NAME,
     OPTION_TAG,
@@ -108,6 +118,10 @@ enum {
 
 static const struct option long_options[] = {
     {"master", required_argument, NULL, OPTION_MASTER},
+    {"tls", no_argument, NULL, OPTION_TLS},
+    {"tls-ca", required_argument, NULL, OPTION_TLS_CA},
+    {"tls-cert", required_argument, NULL, OPTION_TLS_CERT},
+    {"tls-key", required_argument, NULL, OPTION_TLS_KEY},
     {"threads", required_argument, NULL, OPTION_THREADS},
     {"name", required_argument, NULL, OPTION_NAME},
     {"tag", required_argument, NULL, OPTION_TAG},
@@ -154,6 +168,19 @@ static int take_tag(struct program *p, const char *text)
     return GO_ON;
 }
 
+/* Any of the four asks for TLS: nobody who names a certificate wants to go without. */
+static int take_tls(struct program *p, int option, const char *value)
+{
+    p->wants_tls = true;
+    if (option == OPTION_TLS_CA)
+        p->tls_files.ca = value;
+    else if (option == OPTION_TLS_CERT)
+        p->tls_files.certificate = value;
+    else if (option == OPTION_TLS_KEY)
+        p->tls_files.key = value;
+    return GO_ON;
+}
+
 static int take_option(struct program *p, int option, const char *value)
 {
     enum log_level level;
@@ -163,6 +190,11 @@ static int take_option(struct program *p, int option, const char *value)
         return transport_host_port_valid(value)
                    ? GO_ON
                    : usage("--master", "expected HOST:PORT, as in 10.0.0.5:7000");
+    case OPTION_TLS:
+    case OPTION_TLS_CA:
+    case OPTION_TLS_CERT:
+    case OPTION_TLS_KEY:
+        return take_tls(p, option, value);
     case OPTION_THREADS:
         return take_threads(p, value);
     case OPTION_NAME:
@@ -213,6 +245,10 @@ static int parse_options(struct program *p, int argc, char **argv)
     if (!p->master && !p->print_id)
         return usage("--master", "is needed: the master's --listen address");
 
+    if (!p->tls_files.certificate != !p->tls_files.key)
+        return usage(p->tls_files.key ? "--tls-cert" : "--tls-key",
+                     "is needed: a certificate and its key go together");
+
     if (gethostname(p->host, sizeof p->host - 1) != 0 || p->host[0] == '\0')
         (void)snprintf(p->host, sizeof p->host, "unknown");
     if (!p->name)
@@ -244,6 +280,17 @@ static enum err own_determinism_id(digest *out)
     if (e == ERR_OK)
         *out = determinism_id(bits);
     return e;
+}
+
+static int read_tls(struct program *p)
+{
+    char problem[TLS_PROBLEM_BYTES];
+    if (!p->wants_tls)
+        return GO_ON;
+    enum err e = tls_party_new_worker(&p->tls_files, &p->tls, problem);
+    if (e == ERR_INPUT)
+        return usage("TLS", problem);
+    return e == ERR_OK ? GO_ON : fail("TLS", e);
 }
 
 static const char *cpu_name(void)
@@ -310,6 +357,7 @@ static int run(struct program *p, const struct session_options *options)
     (void)uv_run(&p->loop, UV_RUN_DEFAULT);
     session_free(p->session);
     chunk_cache_free(p->cache);
+    tls_party_free(p->tls);
     (void)uv_loop_close(&p->loop);
     return p->exit_status;
 }
@@ -331,6 +379,9 @@ int main(int argc, char **argv)
         (void)puts(hex);
         return 0;
     }
+    status = read_tls(&p);
+    if (status != GO_ON)
+        return status;
     if (uv_loop_init(&p.loop) < 0)
         return fail("cannot make an event loop", ERR_IO);
     e = chunk_cache_new(p.cache_folder, p.cache_mib * MIB, &p.cache);
@@ -343,6 +394,7 @@ int main(int argc, char **argv)
     const char *token = getenv("TILERY_TOKEN");
     struct session_options options = {
         .master = p.master,
+        .tls = p.tls,
         .name = p.name,
         .host = p.host,
         .cpu = cpu_name(),

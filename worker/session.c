@@ -295,9 +295,18 @@ static void log_loss(struct session *s, bool was_registered, enum err why)
         log_debug("session", "cannot register master=%s why=%s", s->options.master, err_name(why));
 }
 
+static void end_untrusted(struct session *s, const char *problem)
+{
+    (void)fprintf(stderr,
+                  "tilery-worker: no trust between this worker and the master at %s: %s\n"
+                  "  compare --tls-ca here with the master's --tls-cert, and --tls-cert here with "
+                  "its --tls-client-ca  [untrusted]\n",
+                  s->options.master, problem);
+    end(s, err_exit_status(ERR_UNTRUSTED));
+}
+
 static void on_close(void *ctx, struct conn *c, enum err why)
 {
-    (void)c;
     struct session *s = ctx;
     bool was_registered = s->registered;
     s->conn = NULL;
@@ -311,6 +320,10 @@ static void on_close(void *ctx, struct conn *c, enum err why)
         s->lost_count++;
     if (s->goodbye) {
         end(s, 0);
+        return;
+    }
+    if (why == ERR_UNTRUSTED && !s->welcomed_once) {
+        end_untrusted(s, conn_problem(c));
         return;
     }
     log_loss(s, was_registered, why);
@@ -339,6 +352,7 @@ static void connect_now(struct session *s)
                      .body_wanted = on_body_wanted,
                      .on_close = on_close},
         .ctx = s,
+        .tls = s->options.tls,
         .queue_bytes_max = QUEUE_BYTES_MAX,
     };
     TL_ASSERT(!s->conn && !s->over);

@@ -6,7 +6,8 @@
  *
  * Connects, says Hello, keeps the heartbeat, comes back by itself: at once when a
  * connection is lost, then every 250 to 500 ms. Only a refusal that will not change
- * (version, determinism id, token) ends it; then `ended` says so with exit status 4.
+ * (version, determinism id, token; a certificate, as long as it has never been registered) ends
+ * it; then `ended` says so with exit status 4.
  * The work itself (leases, results, scenes) is in work.h and outlives connections.
  *
  * Thread: the loop's. Tests: tests/e2e/test_worker_wire.py.
@@ -21,7 +22,8 @@
 struct session; /* opaque */
 
 struct session_options {
-    const char *master; /* transport_host_port_valid */
+    const char *master;          /* transport_host_port_valid */
+    const struct tls_party *tls; /* NULL: in clear */
     const char *name, *host, *cpu, *token;
     const char *const *tags;
     uint32_t tag_count; /* at most LIMIT_TAGS */
