@@ -47,6 +47,7 @@ struct writer {
     uint32_t row_count; /* written */
     exr_encode_pipeline_t encode;
     bool encode_open;
+    exr_result_t (*compress)(exr_encode_pipeline_t *encode); /* the library's */
 };
 
 static void log_error_text(exr_const_context_t ctx, exr_result_t code, const char *text)
@@ -137,6 +138,19 @@ static void aim_channels(struct writer *w, uint32_t row)
     }
 }
 
+/* A chunk as large as its pixels is read as not compressed: then it must be the pixels. OpenEXRCore
+ * 3.1.5 leaves a deflated chunk of just that size as it is, and noise makes such ones. */
+static exr_result_t compress_chunk(exr_encode_pipeline_t *encode)
+{
+    const struct writer *w = encode->encoding_user_data;
+    exr_result_t r = w->compress(encode);
+    if (r == EXR_ERR_SUCCESS && encode->compressed_bytes >= encode->packed_bytes) {
+        memcpy(encode->compressed_buffer, encode->packed_buffer, encode->packed_bytes);
+        encode->compressed_bytes = encode->packed_bytes;
+    }
+    return r;
+}
+
 static exr_result_t put_chunk(struct writer *w, uint32_t row)
 {
     exr_chunk_info_t chunk;
@@ -152,6 +166,11 @@ static exr_result_t put_chunk(struct writer *w, uint32_t row)
     aim_channels(w, row);
     if (first)
         r = exr_encoding_choose_default_routines(w->ctx, 0, &w->encode);
+    if (first && r == EXR_ERR_SUCCESS) {
+        w->compress = w->encode.compress_fn;
+        w->encode.compress_fn = compress_chunk;
+        w->encode.encoding_user_data = w;
+    }
     r = r ? r : exr_encoding_run(w->ctx, 0, &w->encode);
     if (r == EXR_ERR_SUCCESS)
         w->row_count += (uint32_t)chunk.height;
