@@ -144,55 +144,6 @@ static void test_against_embree(void **state)
         check_scene(TRACE_BALL1M, 10000000);
 }
 
-/* --- Needles ------------------------------------------------------------------ */
-
-/* Triangles of every aspect under every grazing angle: t against __float128. */
-static void test_needles(void **state)
-{
-    (void)state;
-    uint64_t seed = 3;
-    size_t count = is_long ? 2000000 : 100000, missed = 0, outside = 0;
-    double worst = 0.0;
-    for (size_t i = 0; i < count; i++) {
-        double aspect = 1.0, graze = 1.0;
-        for (size_t k = i % 7; k > 0; k--)
-            aspect *= 0.1; /* to 1e-6 */
-        for (size_t k = i / 7 % 5; k > 0; k--)
-            graze *= 0.1; /* to 1e-4 */
-        float v[9] = {0, 0, 0, 1, 0, 0, (float)gen_random(&seed), (float)aspect, 0};
-        uint32_t index[3] = {0, 1, 2};
-        struct accel_mesh mesh = {v, index, 3, 1};
-        struct accel_object object = {.type = ACCEL_TRIANGLES};
-        struct accel_input input = {&mesh, 1, &object, 1};
-        struct accel *a = kit_build(&input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
-        double b1 = 0.1 + 0.4 * gen_random(&seed), b2 = 0.1 + 0.4 * gen_random(&seed);
-        double at[2] = {b1 + b2 * (double)v[6], b2 * (double)v[7]};
-        struct ray ray = {{at[0] - 2.0, at[1] - gen_random(&seed), 2.0 * graze}, {0}, 0, 10};
-        ray.dir[0] = at[0] - ray.org[0];
-        ray.dir[1] = at[1] - ray.org[1];
-        ray.dir[2] = -ray.org[2];
-        struct hit hit;
-        struct verdict v128;
-        accel_closest(a, &ray, &hit);
-        judge(&ray, v, index, &v128);
-        if (hit.object == SCENE_NONE) {
-            missed += v128.least_weight > 1e-12Q;
-        } else {
-            __float128 error = ((__float128)hit.t - v128.t) / v128.t;
-            worst = (double)(error < 0 ? -error : error) > worst
-                        ? (double)(error < 0 ? -error : error)
-                        : worst;
-            outside += v128.least_weight < -1e-9Q;
-        }
-        accel_free(a);
-    }
-    printf("  %zu needles: %zu missed, %zu hit from outside, t off by %.2g at most\n", count,
-           missed, outside, worst);
-    assert_int_equal(missed, 0);
-    assert_int_equal(outside, 0);
-    assert_true(worst <= 1e-8);
-}
-
 /* --- Counters ------------------------------------------------------------------- */
 
 uint64_t trace_count_nodes, trace_count_leaves, trace_count_decisions;
@@ -259,7 +210,6 @@ int main(int argc, char **argv)
     is_long = kit_long(argc, argv);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_kernels_ran),
-        cmocka_unit_test(test_needles),
         cmocka_unit_test(test_against_embree),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

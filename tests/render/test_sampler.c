@@ -1,10 +1,5 @@
 /* The samplers: in range, stratified, uncorrelated between dimensions, pixels and halves. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-
-#include <cmocka.h>
+#include "tests/numerics/rows.h"
 
 #include <math.h>
 #include <string.h>
@@ -47,12 +42,12 @@ static double correlation(const double *a, const double *b, size_t count)
 
 /* T23: over `pixels` independent scrambles, the mean correlation of each pair of dimensions stays
  * within what chance gives. A sampler that used one dimension twice has correlation 1. */
-static void pairs_are_uncorrelated(void **state)
+static void test_t23_pairs(void **state)
 {
     (void)state;
-    static const size_t counts[] = {16, 256};
+    static const size_t counts[] = {16, 256, 1024, 4096};
     for (size_t t = 0; t < 3; t++) {
-        for (size_t c = 0; c < 2; c++) {
+        for (size_t c = 0; c < (rows_long ? 4 : 2); c++) {
             enum { PIXELS = 16 };
             size_t n = counts[c];
             double *values = mem_alloc_array(DIMENSIONS * n, sizeof *values);
@@ -74,6 +69,22 @@ static void pairs_are_uncorrelated(void **state)
             mem_free(sums);
         }
     }
+}
+
+/* The same statistic sees a sampler that draws one dimension twice. */
+static void test_t23_dropped_dimension_fails(void **state)
+{
+    (void)state;
+    enum { N = 256, PIXELS = 16 };
+    double *values = mem_alloc_array(DIMENSIONS * N, sizeof *values), sum = 0;
+    assert_non_null(values);
+    for (uint32_t pixel = 0; pixel < PIXELS; pixel++) {
+        fill(JOB_SAMPLER_SOBOL, pixel, 0, N, values);
+        memcpy(values + 7 * N, values + 6 * N, N * sizeof *values);
+        sum += correlation(values + 7 * N, values + 6 * N, N);
+    }
+    assert_true(sum / PIXELS > 6 / sqrt((double)N * PIXELS));
+    mem_free(values);
 }
 
 /* Between halves and between neighbouring pixels nothing is shared. One pair of scrambles of the
@@ -189,7 +200,7 @@ static void halton_is_stratified(void **state)
 }
 
 /* Indices at and beyond 2^31 and 2^32 are as good as any. */
-static void large_indices_continue(void **state)
+static void test_t22_indices(void **state)
 {
     (void)state;
     for (size_t t = 0; t < 3; t++) {
@@ -205,15 +216,16 @@ static void large_indices_continue(void **state)
     }
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(pairs_are_uncorrelated),
+        cmocka_unit_test(test_t23_pairs),
+        cmocka_unit_test(test_t23_dropped_dimension_fails),
         cmocka_unit_test(halves_and_pixels_are_independent),
         cmocka_unit_test(sobol_is_a_net),
         cmocka_unit_test(sobol_table_follows_the_recurrence),
         cmocka_unit_test(halton_is_stratified),
-        cmocka_unit_test(large_indices_continue),
+        cmocka_unit_test(test_t22_indices),
     };
-    return cmocka_run_group_tests(tests, NULL, NULL);
+    return ROWS_RUN(argc, argv, tests);
 }

@@ -1,11 +1,6 @@
 /* Rays that leave a surface do not meet it again (T9), at any size and place, for triangles,
  * needles, spheres and instances; textures and cameras look where they should. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-
-#include <cmocka.h>
+#include "tests/numerics/rows.h"
 
 #include <math.h>
 #include <string.h>
@@ -50,7 +45,7 @@ static uint64_t count_self_hits(const struct scene *s, uint64_t *random, uint64_
     struct render_scene *rs;
     assert_int_equal(scene_build(s, &spec, NULL, &rs), ERR_OK);
     uint64_t hits = 0;
-    for (int k = 0; k < 20; k++) {
+    for (int k = 0; k < (rows_long ? 2 : 20); k++) {
         struct ray ray = {.tmax = VEC_INFINITY};
         struct hit hit;
         /* Aim at a point of the object from outside. */
@@ -93,26 +88,28 @@ static uint64_t count_self_hits(const struct scene *s, uint64_t *random, uint64_
     return hits;
 }
 
-static void triangles_do_not_hit_themselves(void **state)
+static void test_t09_triangles(void **state)
 {
     (void)state;
     uint64_t random = 42, spawned = 0, hits = 0;
-    for (int i = 0; i < 3000; i++) {
+    for (int i = 0; i < (rows_long ? 1000000 : 3000); i++) {
         struct scene s;
         scene_init(&s);
         add_wild_triangle(&s, &random);
         hits += count_self_hits(&s, &random, &spawned);
         scene_release(&s);
     }
+    printf("  T9: %llu of %llu rays that left triangles hit them again\n", (unsigned long long)hits,
+           (unsigned long long)spawned);
     assert_true(spawned > 500000);
     assert_int_equal(hits, 0);
 }
 
-static void spheres_do_not_hit_themselves(void **state)
+static void test_t09_spheres(void **state)
 {
     (void)state;
     uint64_t random = 43, spawned = 0, hits = 0;
-    for (int i = 0; i < 1000; i++) {
+    for (int i = 0; i < (rows_long ? 100000 : 1000); i++) {
         struct scene s;
         scene_init(&s);
         double size = dmath_pow(10, 16 * random_value(&random) - 8);
@@ -123,6 +120,8 @@ static void spheres_do_not_hit_themselves(void **state)
         hits += count_self_hits(&s, &random, &spawned);
         scene_release(&s);
     }
+    printf("  T9: %llu of %llu rays that left spheres hit them again\n", (unsigned long long)hits,
+           (unsigned long long)spawned);
     assert_true(spawned > 100000);
     assert_int_equal(hits, 0);
 }
@@ -200,13 +199,13 @@ static void cameras_look_where_they_should(void **state)
     scene_release(&s);
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(triangles_do_not_hit_themselves),
-        cmocka_unit_test(spheres_do_not_hit_themselves),
+        cmocka_unit_test(test_t09_triangles),
+        cmocka_unit_test(test_t09_spheres),
         cmocka_unit_test(textures_look_where_they_should),
         cmocka_unit_test(cameras_look_where_they_should),
     };
-    return cmocka_run_group_tests(tests, NULL, NULL);
+    return ROWS_RUN(argc, argv, tests);
 }

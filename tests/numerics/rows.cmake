@@ -1,0 +1,36 @@
+# The matrix of extremes (docs/NUMERICS.md): every row a test of its own, by its id.
+#
+# numerics_rows(PROGRAM [ALSO label] ROWS case...): each case of the program as a test; with ALSO it
+# counts under that label too. The program runs what is no row under its own name.
+function(numerics_rows program)
+  cmake_parse_arguments(arg "" "ALSO;TIMEOUT" "ROWS" ${ARGN})
+  if(NOT TILERY_TESTS OR NOT TARGET ${program})
+    return()
+  endif()
+  if(NOT arg_TIMEOUT)
+    set(arg_TIMEOUT 300)
+  endif()
+  foreach(row ${arg_ROWS})
+    add_test(NAME ${row} COMMAND ${program} ${row} WORKING_DIRECTORY ${PROJECT_SOURCE_DIR})
+    set_tests_properties(${row} PROPERTIES LABELS "numerics;${arg_ALSO}" TIMEOUT ${arg_TIMEOUT})
+  endforeach()
+endfunction()
+
+# numerics_program(NAME LINKS lib... SOURCES file... ROWS case...): a program of nothing but rows.
+function(numerics_program name)
+  cmake_parse_arguments(arg "" "" "LINKS;SOURCES;ROWS" ${ARGN})
+  if(NOT TILERY_TESTS)
+    return()
+  endif()
+  add_executable(${name} ${arg_SOURCES})
+  target_link_libraries(${name} PRIVATE tilery_flags ${arg_LINKS} PkgConfig::cmocka m)
+  numerics_rows(${name} ROWS ${arg_ROWS})
+endfunction()
+
+set(numerics_dir ${PROJECT_SOURCE_DIR}/tests/numerics)
+set(numerics_kit ${PROJECT_SOURCE_DIR}/tests/prop/test_accel_kit.c
+  ${PROJECT_SOURCE_DIR}/tests/bench/trace_scene.c ${PROJECT_SOURCE_DIR}/scenes/gen_mesh.c)
+numerics_program(test_rows_watertight LINKS tl_render Threads::Threads
+  SOURCES ${numerics_dir}/test_rows_watertight.c ${numerics_dir}/closed_mesh.c ${numerics_kit}
+  ROWS test_t05_leaks test_t06_lattice test_t07_boxes test_t07_kernels test_t07_no_rays
+       test_t08_needles)
