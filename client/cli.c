@@ -11,6 +11,7 @@
 #include "client/cli_settings.h"
 #include "client/command.h"
 #include "client/out_file.h"
+#include "client/preset.h"
 #include "client/term.h"
 #include "common/mem.h"
 
@@ -166,6 +167,9 @@ static int run(struct cli *cli, int argc, char **argv)
         return status;
     if (help)
         return print_help(cli->line.command);
+    status = cli_has(&cli->line, CLI_PRESET) ? preset_apply(cli) : EXIT_DONE;
+    if (status != EXIT_DONE)
+        return status;
     apply_settings(cli);
     return command_run(cli);
 }

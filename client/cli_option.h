@@ -19,7 +19,8 @@
 #define CLI_COMMANDS(X)                                                                            \
     X(RENDER, "render", "here", "SCENE -o OUT.exr [options]", 1, 1, "render here")                 \
     X(EXPLAIN, "explain", "here", "SCENE [--json]", 1, 1, "what a scene needs and leaves out")     \
-    X(TRADEOFF, "tradeoff", "here", "SCENE -o DIR", 1, 1, "speed against accuracy, measured")      \
+    X(TRADEOFF, "tradeoff", "here", "SCENE -o DIR [options]", 1, 1,                                \
+      "speed against accuracy, measured")                                                          \
     X(IMPORT, "import", "here", "MODEL -o scene.json", 1, 1, "make a scene from a model")          \
     X(COMPARE, "compare", "here", "A REFERENCE [options]", 2, 2, "how far two pictures differ")    \
     X(SUBMIT, "submit", "jobs", "SCENE [options]", 1, 1, "give a scene to the farm")               \
@@ -76,11 +77,14 @@ enum cli_option_id {
     CLI_INTEGRATOR,
     CLI_SAMPLER,
     CLI_MAX_DEPTH,
+    CLI_RR_THRESHOLD,
+    CLI_PROFILE,
     CLI_TILE,
     CLI_VERIFY,
     CLI_PRECISION,
     CLI_BUILDER,
     CLI_INTERSECTOR,
+    CLI_PRESET,
     CLI_WORKER_COUNT,
     CLI_THREADS,
     CLI_NAME,
@@ -94,6 +98,8 @@ enum cli_option_id {
     CLI_IDENTICAL,
     CLI_MAX_RELMSE,
     CLI_OUTPUT,
+    CLI_HALF,
+    CLI_BUDGET,
     CLI_REPORT,
     CLI_JSON,
     CLI_MASTER,

@@ -12,8 +12,11 @@ enum { SETTINGS_BYTES_MAX = 1 << 20, TOKEN_BYTES_MAX = 4096, VARIABLE_BYTES = 64
 #define SYSTEM_FILE "/etc/tilery/config"
 
 static const char *const origin_names[] = {
-    [CLI_FROM_DEFAULT] = "default",         [CLI_FROM_OPTION] = "option",
-    [CLI_FROM_ENVIRONMENT] = "environment", [CLI_FROM_USER_FILE] = "your settings file",
+    [CLI_FROM_DEFAULT] = "default",
+    [CLI_FROM_OPTION] = "option",
+    [CLI_FROM_PRESET] = "preset",
+    [CLI_FROM_ENVIRONMENT] = "environment",
+    [CLI_FROM_USER_FILE] = "your settings file",
     [CLI_FROM_SYSTEM_FILE] = SYSTEM_FILE,
 };
 

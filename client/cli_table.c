@@ -9,6 +9,7 @@
 
 enum {
     JOB_COMMANDS = 1 << CLI_RENDER | 1 << CLI_SUBMIT | 1 << CLI_EXPLAIN,
+    LOOK_COMMANDS = JOB_COMMANDS | 1 << CLI_TRADEOFF, /* what a study keeps fixed */
     MAKERS = 1 << CLI_RENDER | 1 << CLI_SUBMIT,
     FARM_COMMANDS = 1 << CLI_SUBMIT | 1 << CLI_JOBS | 1 << CLI_STATUS | 1 << CLI_WATCH |
                     1 << CLI_GET | 1 << CLI_PAUSE | 1 << CLI_RESUME | 1 << CLI_CANCEL |
@@ -26,6 +27,10 @@ static const char *const render_examples =
 static const char *const submit_examples =
     "  tilery submit scene.json --name spot            prints the job's id\n"
     "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n";
+static const char *const tradeoff_examples =
+    "  tilery tradeoff scene.json -o study               then open study/index.html\n"
+    "  tilery tradeoff scene.json -o study --budget 600  narrower intervals\n"
+    "  tilery render scene.json -o out.exr --preset study/standard.preset\n";
 static const char *const compare_examples =
     "  tilery compare out.exr reference.exr\n"
     "  tilery compare a.exr b.exr --identical          exit 1 unless all bits are\n"
@@ -41,11 +46,12 @@ const struct cli_command cli_commands[CLI_COMMAND_COUNT] = {
                   .summary = summary_,                                                             \
                   .argument_min = min_,                                                            \
                   .argument_max = max_,                                                            \
-                  .examples = CLI_##id == CLI_RENDER    ? render_examples                          \
-                              : CLI_##id == CLI_SUBMIT  ? submit_examples                          \
-                              : CLI_##id == CLI_COMPARE ? compare_examples                         \
-                              : CLI_##id == CLI_GET     ? get_examples                             \
-                                                        : NULL},
+                  .examples = CLI_##id == CLI_RENDER     ? render_examples                         \
+                              : CLI_##id == CLI_SUBMIT   ? submit_examples                         \
+                              : CLI_##id == CLI_TRADEOFF ? tradeoff_examples                       \
+                              : CLI_##id == CLI_COMPARE  ? compare_examples                        \
+                              : CLI_##id == CLI_GET      ? get_examples                            \
+                                                         : NULL},
     CLI_COMMANDS(CLI_COMMAND_ROW)
 #undef CLI_COMMAND_ROW
 };
@@ -113,14 +119,14 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                      .kind = CLI_SIZE,
                      .argument = "WxH",
                      .section = "picture",
-                     .commands = JOB_COMMANDS,
+                     .commands = LOOK_COMMANDS,
                      .built = true,
                      .help = "resolution, in place of the scene's"},
     [CLI_CROP_XYWH] = {.name = "crop",
                        .kind = CLI_CROP,
                        .argument = "X,Y,W,H",
                        .section = "picture",
-                       .commands = JOB_COMMANDS,
+                       .commands = LOOK_COMMANDS,
                        .built = true,
                        .help = "only this part of the picture, with the same bits"},
     [CLI_AOV] = {.name = "aov",
@@ -133,7 +139,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                   .kind = CLI_COUNT,
                   .argument = "N",
                   .section = "picture",
-                  .commands = JOB_COMMANDS,
+                  .commands = LOOK_COMMANDS,
                   .built = true,
                   .low = 0,
                   .high = 18446744073709551615.0,
@@ -142,7 +148,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                         .kind = CLI_CHOICE,
                         .argument = "NAME",
                         .section = "light",
-                        .commands = JOB_COMMANDS,
+                        .commands = LOOK_COMMANDS,
                         .built = true,
                         CHOICES(integrator_names),
                         .help = "how light is followed, in place of the scene's"},
@@ -150,7 +156,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                      .kind = CLI_CHOICE,
                      .argument = "NAME",
                      .section = "light",
-                     .commands = JOB_COMMANDS,
+                     .commands = LOOK_COMMANDS,
                      .built = true,
                      .choices = job_sampler_names,
                      .choice_count = JOB_SAMPLER_COUNT,
@@ -159,16 +165,34 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                        .kind = CLI_COUNT,
                        .argument = "N",
                        .section = "light",
-                       .commands = JOB_COMMANDS,
+                       .commands = LOOK_COMMANDS,
                        .built = true,
                        .low = 1,
                        .high = JOB_DEPTH_MAX,
                        .help = "longest path, in place of the scene's"},
+    [CLI_RR_THRESHOLD] = {.name = "rr-threshold",
+                          .kind = CLI_NUMBER,
+                          .argument = "X",
+                          .section = "light",
+                          .commands = LOOK_COMMANDS,
+                          .built = true,
+                          .low = 0,
+                          .high = 1e6,
+                          .help = "paths weaker than this play roulette; 0: none does"},
+    [CLI_PROFILE] = {.name = "profile",
+                     .kind = CLI_CHOICE,
+                     .argument = "MIS|NEE|RW",
+                     .section = "light",
+                     .commands = LOOK_COMMANDS,
+                     .built = true,
+                     .choices = job_profile_names,
+                     .choice_count = JOB_PROFILE_COUNT,
+                     .help = "how path finds lights, in place of the scene's"},
     [CLI_TILE] = {.name = "tile",
                   .kind = CLI_COUNT,
                   .argument = "N",
                   .section = "machine",
-                  .commands = JOB_COMMANDS,
+                  .commands = LOOK_COMMANDS,
                   .built = true,
                   .low = 1,
                   .high = JOB_TILE_MAX,
@@ -185,7 +209,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                        .kind = CLI_CHOICE,
                        .argument = "exact|fast",
                        .section = "machine",
-                       .commands = JOB_COMMANDS,
+                       .commands = LOOK_COMMANDS,
                        .built = true,
                        .choices = job_precision_names,
                        .choice_count = JOB_PRECISION_COUNT,
@@ -195,7 +219,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                      .kind = CLI_CHOICE,
                      .argument = "NAME",
                      .section = "compare",
-                     .commands = JOB_COMMANDS,
+                     .commands = LOOK_COMMANDS,
                      .built = true,
                      .choices = job_builder_names,
                      .choice_count = JOB_BUILDER_COUNT,
@@ -204,16 +228,23 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                          .kind = CLI_CHOICE,
                          .argument = "NAME",
                          .section = "compare",
-                         .commands = JOB_COMMANDS,
+                         .commands = LOOK_COMMANDS,
                          .built = true,
                          .choices = job_intersector_names,
                          .choice_count = JOB_INTERSECTOR_COUNT,
                          .help = "triangle test: woop is watertight, moller-trumbore is not"},
+    [CLI_PRESET] = {.name = "preset",
+                    .kind = CLI_PATH,
+                    .argument = "FILE",
+                    .section = "until",
+                    .commands = JOB_COMMANDS,
+                    .built = true,
+                    .help = "job options from a file, as tilery tradeoff writes it"},
     [CLI_WORKER_COUNT] = {.name = "workers",
                           .kind = CLI_COUNT,
                           .argument = "N",
                           .section = "machine",
-                          .commands = BIT(RENDER),
+                          .commands = BIT(RENDER) | BIT(TRADEOFF),
                           .built = true,
                           .setting = true,
                           .low = 1,
@@ -223,7 +254,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                      .kind = CLI_COUNT,
                      .argument = "N",
                      .section = "machine",
-                     .commands = BIT(RENDER),
+                     .commands = BIT(RENDER) | BIT(TRADEOFF),
                      .built = true,
                      .setting = true,
                      .low = 1,
@@ -299,6 +330,20 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                         .low = 0,
                         .high = 1e30,
                         .help = "exit 1 when relMSE is over this"},
+    [CLI_HALF] = {.name = "half",
+                  .kind = CLI_FLAG,
+                  .section = "output",
+                  .commands = MAKERS | BIT(GET),
+                  .built = true,
+                  .help = "the EXR in 16-bit floats: half the bytes, up to 65504"},
+    [CLI_BUDGET] = {.name = "budget",
+                    .kind = CLI_NUMBER,
+                    .argument = "SECONDS",
+                    .section = "until",
+                    .commands = BIT(TRADEOFF),
+                    .low = 1,
+                    .high = 1e6,
+                    .help = "how long the whole study may take (60)"},
     [CLI_REPORT] = {.name = "report",
                     .kind = CLI_PATH,
                     .argument = "FILE",
@@ -316,7 +361,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                     .kind = CLI_TEXT,
                     .argument = "URL",
                     .section = "farm",
-                    .commands = FARM_COMMANDS,
+                    .commands = FARM_COMMANDS | BIT(TRADEOFF),
                     .built = true,
                     .setting = true,
                     .help = "the farm, in place of TILERY_MASTER"},
@@ -324,7 +369,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                         .kind = CLI_PATH,
                         .argument = "FILE",
                         .section = "farm",
-                        .commands = FARM_COMMANDS,
+                        .commands = FARM_COMMANDS | BIT(TRADEOFF),
                         .built = true,
                         .setting = true,
                         .help = "file with the farm's token, in place of TILERY_TOKEN"},
@@ -348,7 +393,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                       .kind = CLI_CHOICE,
                       .argument = "auto|bar|lines|none",
                       .section = "output",
-                      .commands = MAKERS | BIT(WATCH),
+                      .commands = MAKERS | BIT(WATCH) | BIT(TRADEOFF),
                       .built = true,
                       .setting = true,
                       CHOICES(progress_names),

@@ -323,6 +323,10 @@ int command_get(struct cli *cli)
         cli_error("bad-value", NULL, "-o %s: must end in .exr or .png", path);
         return EXIT_USAGE;
     }
+    if (png && cli_flag(&cli->line, CLI_HALF)) {
+        cli_error("bad-value", NULL, "--half is about EXR files, %s is a PNG", path);
+        return EXIT_USAGE;
+    }
     enum err e = out_file_check(path, 0);
     if (e != ERR_OK)
         return cli_cannot_write(path, e, errno, 0, NULL);
@@ -330,8 +334,9 @@ int command_get(struct cli *cli)
     int status = farm_open(&farm, cli);
     if (status != EXIT_DONE)
         return status;
-    status = farm_fetch_picture(&farm, cli->line.arguments[0], exr ? "picture.exr" : "picture.png",
-                                path, "the farm keeps it: try again elsewhere");
+    status = farm_fetch_picture(&farm, cli->line.arguments[0],
+                                exr ? farm_exr_of(&cli->line) : "picture.png", path,
+                                "the farm keeps it: try again elsewhere");
     if (status == EXIT_DONE)
         cli_say(cli, "%s", path);
     farm_release(&farm);

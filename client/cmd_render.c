@@ -324,7 +324,7 @@ static int fetch(struct render *r)
 {
     const struct cli_line *line = &r->cli->line;
     int status =
-        farm_fetch_picture(&r->api, r->job, "picture.exr", cli_text(line, CLI_OUTPUT), NULL);
+        farm_fetch_picture(&r->api, r->job, farm_exr_of(line), cli_text(line, CLI_OUTPUT), NULL);
     if (status == EXIT_MACHINE)
         rescue(r);
     if (status == EXIT_DONE && cli_has(line, CLI_PNG))

@@ -135,8 +135,8 @@ static int fetch_pictures(struct cmd_wait *w)
     int status = EXIT_DONE;
     (void)snprintf(rescue, sizeof rescue, "nothing lost: tilery get %s -o ELSEWHERE.exr", w->job);
     if (cli_has(line, CLI_OUTPUT))
-        status =
-            farm_fetch_picture(w->farm, w->job, "picture.exr", cli_text(line, CLI_OUTPUT), rescue);
+        status = farm_fetch_picture(w->farm, w->job, farm_exr_of(line), cli_text(line, CLI_OUTPUT),
+                                    rescue);
     if (status == EXIT_DONE && cli_has(line, CLI_PNG))
         status =
             farm_fetch_picture(w->farm, w->job, "picture.png", cli_text(line, CLI_PNG), rescue);

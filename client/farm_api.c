@@ -331,6 +331,20 @@ static int explain_unfinished(struct farm *f, const char *job)
     return EXIT_FAILED;
 }
 
+const char *farm_exr_of(const struct cli_line *line)
+{
+    return cli_flag(line, CLI_HALF) ? FARM_HALF : "picture.exr";
+}
+
+/* A picture that lost light says so, also under --quiet. */
+static void say_clamped(const char *path, const char *count)
+{
+    uint64_t clamped;
+    if (cli_parse_count(count, UINT64_MAX, &clamped) && clamped > 0)
+        cli_warn("%s: %llu values over 65504 do not fit into half floats and became 65504", path,
+                 (unsigned long long)clamped);
+}
+
 int farm_fetch_picture(struct farm *f, const char *job, const char *what, const char *path,
                        const char *rescue)
 {
@@ -343,7 +357,8 @@ int farm_fetch_picture(struct farm *f, const char *job, const char *what, const 
     enum err e = out_file_begin(&out, path);
     if (e != ERR_OK)
         return cli_cannot_write(path, e, errno, 0, rescue);
-    struct http_request request = {.method = "GET", .path = url, .body_fd = out.fd};
+    struct http_request request = {
+        .method = "GET", .path = url, .body_fd = out.fd, .reply_header = "X-Tilery-Clamped"};
     e = http_call(f->http, &request, &f->reply);
     if (e == ERR_OK && f->reply.status == 200)
         e = out_file_commit(&out);
@@ -354,6 +369,8 @@ int farm_fetch_picture(struct farm *f, const char *job, const char *what, const 
     out_file_abort(&out);
     if (e == ERR_NOSPACE || e == ERR_IO)
         status = cli_cannot_write(path, e, e == ERR_IO ? errno : 0, 0, rescue);
+    if (status == EXIT_DONE)
+        say_clamped(path, f->reply.header);
     return status;
 }
 

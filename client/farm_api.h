@@ -50,11 +50,16 @@ int farm_explain(struct farm *f, enum err e);
 /* "/api/v1/jobs/ID" + tail. A text that no id can be is answered as unknown: exit 4. */
 TL_NODISCARD int farm_job_path(const char *id, const char *tail, char out[FARM_PATH_BYTES]);
 
-/* GET of a whole picture ("picture.exr", "picture.png") to its place. `job` has been accepted by
+/* GET of a whole picture ("picture.exr", "picture.png", FARM_HALF) to its place. Says how many
+ * values were too large for a half. `job` has been accepted by
  * the farm before, or comes from the user: an unknown one gives 4, an unfinished one 1. `rescue`
  * is what to say when the disk is full; may be NULL. */
+#define FARM_HALF "picture.exr?half=1"
 TL_NODISCARD int farm_fetch_picture(struct farm *f, const char *job, const char *what,
                                     const char *path, const char *rescue);
+
+/* The EXR that a command line asks for: "picture.exr", or FARM_HALF under --half. */
+const char *farm_exr_of(const struct cli_line *line);
 
 /* Sends what the master lacks of the package, then the job; fills id. */
 struct farm_job_request {

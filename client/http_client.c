@@ -4,6 +4,7 @@
 #include <errno.h>
 #include <poll.h>
 #include <string.h>
+#include <strings.h>
 #include <unistd.h>
 
 #include "common/mem.h"
@@ -112,6 +113,7 @@ struct call {
     struct http_client *client;
     struct http_reply *reply;
     int body_fd;
+    const char *header; /* wanted, or NULL */
     enum err failure;
 };
 
@@ -144,6 +146,22 @@ static size_t take_body(char *data, size_t size, size_t count, void *ctx)
         call->failure = buf_status(&call->reply->body);
     }
     return call->failure == ERR_OK ? bytes : 0;
+}
+
+static size_t take_header(char *data, size_t size, size_t count, void *ctx)
+{
+    struct call *call = ctx;
+    size_t bytes = size * count, name = strlen(call->header);
+    if (bytes <= name + 1 || data[name] != ':' || strncasecmp(data, call->header, name) != 0)
+        return bytes;
+    size_t from = name + 1, to = bytes;
+    while (from < to && data[from] == ' ')
+        from++;
+    while (to > from && (unsigned char)data[to - 1] <= ' ')
+        to--;
+    (void)snprintf(call->reply->header, sizeof call->reply->header, "%.*s", (int)(to - from),
+                   data + from);
+    return bytes;
 }
 
 static int check_interrupt(void *ctx, curl_off_t total, curl_off_t now, curl_off_t up_total,
@@ -255,10 +273,12 @@ static void set_body(CURL *easy, const struct http_request *r)
 enum err http_call(struct http_client *c, const struct http_request *request,
                    struct http_reply *reply)
 {
-    struct call call = {.client = c, .reply = reply, .body_fd = request->body_fd};
+    struct call call = {
+        .client = c, .reply = reply, .body_fd = request->body_fd, .header = request->reply_header};
     bool ok = true;
     buf_clear(&reply->body);
     reply->status = 0;
+    reply->header[0] = '\0';
     c->error[0] = '\0';
     curl_easy_reset(c->easy); /* keeps the connection */
     struct curl_slist *headers = headers_of(c, request, &ok);
@@ -268,6 +288,10 @@ enum err http_call(struct http_client *c, const struct http_request *request,
     (void)curl_easy_setopt(c->easy, CURLOPT_ERRORBUFFER, c->error);
     (void)curl_easy_setopt(c->easy, CURLOPT_WRITEFUNCTION, take_body);
     (void)curl_easy_setopt(c->easy, CURLOPT_WRITEDATA, &call);
+    if (request->reply_header) {
+        (void)curl_easy_setopt(c->easy, CURLOPT_HEADERFUNCTION, take_header);
+        (void)curl_easy_setopt(c->easy, CURLOPT_HEADERDATA, &call);
+    }
     (void)curl_easy_setopt(c->easy, CURLOPT_NOPROGRESS, 0L);
     (void)curl_easy_setopt(c->easy, CURLOPT_XFERINFOFUNCTION, check_interrupt);
     (void)curl_easy_setopt(c->easy, CURLOPT_XFERINFODATA, c);

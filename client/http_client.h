@@ -37,11 +37,13 @@ struct http_request {
     const char *content_type; /* of the body */
     const char *header;       /* one more header line, or NULL */
     int body_fd;              /* 0: reply into memory; else a 2xx reply is written there */
+    const char *reply_header; /* name of a header line of the reply that is wanted, or NULL */
 };
 
 struct http_reply {
     long status;
     struct buf body; /* NUL-terminated, the NUL not counted; empty when it went to body_fd */
+    char header[80]; /* the value of the wanted header line; empty if there was none */
 };
 
 void http_reply_init(struct http_reply *r);

@@ -32,6 +32,8 @@ static void take_choices(struct job_spec *spec, const struct cli_line *line)
 {
     if (cli_has(line, CLI_SAMPLER))
         spec->sampler = (enum job_sampler)cli_choice(line, CLI_SAMPLER);
+    if (cli_has(line, CLI_PROFILE))
+        spec->profile = (enum job_profile)cli_choice(line, CLI_PROFILE);
     if (cli_has(line, CLI_PRECISION))
         spec->precision = (enum job_precision)cli_choice(line, CLI_PRECISION);
     if (cli_has(line, CLI_BUILDER))
@@ -63,6 +65,8 @@ static void apply_options(struct load *load, const struct cli_line *line)
         spec->seed = cli_count(line, CLI_SEED);
     if (cli_has(line, CLI_MAX_DEPTH))
         spec->max_depth = (uint32_t)cli_count(line, CLI_MAX_DEPTH);
+    if (cli_has(line, CLI_RR_THRESHOLD))
+        spec->rr_threshold = cli_number(line, CLI_RR_THRESHOLD);
     if (cli_has(line, CLI_TILE))
         spec->tile = (uint32_t)cli_count(line, CLI_TILE);
     if (cli_has(line, CLI_VERIFY))

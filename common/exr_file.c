@@ -106,7 +106,8 @@ static exr_result_t put_header(struct writer *w)
           : exr_initialize_required_attr(w->ctx, part, &display, &data, 1, &center, 1,
                                          EXR_LINEORDER_INCREASING_Y, EXR_COMPRESSION_ZIP);
     for (size_t i = 0; r == EXR_ERR_SUCCESS && i < p->channel_count; i++)
-        r = exr_add_channel(w->ctx, part, p->channels[i].name, EXR_PIXEL_FLOAT,
+        r = exr_add_channel(w->ctx, part, p->channels[i].name,
+                            i < p->half_count ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT,
                             EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
     for (size_t i = 0; r == EXR_ERR_SUCCESS && i < p->attribute_count; i++)
         r = put_attribute(w, &p->attributes[i]);

@@ -1,6 +1,6 @@
 /* common/exr_file.h: OpenEXR pictures, written and read. The one door to OpenEXRCore.
  *
- * Written: one part, 32-bit float channels, scanlines, ZIP, into memory; the caller
+ * Written: one part, float or half channels, scanlines, ZIP, into memory; the caller
  * writes the bytes aside, syncs and renames (file_io.h). The library deletes a file with
  * missing rows and reports success, so rows are counted here and the bytes checked.
  *
@@ -38,6 +38,7 @@ struct exr_picture {
     uint32_t x, y, data_width, data_height; /* data window: the crop, within the display window */
     const struct exr_channel *channels;     /* any order; names distinct */
     size_t channel_count;
+    size_t half_count; /* so many first ones are stored in 16 bits; clamped before (half.h) */
     const struct exr_attribute *attributes; /* names distinct, none a standard one */
     size_t attribute_count;
 };

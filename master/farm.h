@@ -277,9 +277,10 @@ TL_NODISCARD enum err job_load_film(struct farm *f, struct job *job);
 void job_film_changed(struct farm *f, struct job *job);
 void job_checkpoint(struct farm *f, struct job *job);
 
-/* The picture as a file, made on the pool. `done` gets the bytes (takes them) or an error. */
-enum picture_format { PICTURE_EXR, PICTURE_PNG };
-typedef void picture_done(void *ctx, enum err e, struct buf *file);
+/* The picture as a file, made on the pool. `done` gets the bytes (takes them) or an error, and how
+ * many values were too large for a half. */
+enum picture_format { PICTURE_EXR, PICTURE_EXR_HALF, PICTURE_PNG };
+typedef void picture_done(void *ctx, enum err e, struct buf *file, uint64_t clamped);
 TL_NODISCARD enum err job_picture(struct farm *f, struct job *job, enum picture_format format,
                                   picture_done *done, void *ctx);
 

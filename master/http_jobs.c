@@ -457,7 +457,14 @@ void http_patch_job(struct request *r)
 
 /* --- Pictures ------------------------------------------------------------ */
 
-static void picture_made(void *ctx, enum err e, struct buf *file)
+/* ?key=1 */
+static bool wants(struct request *r, const char *key)
+{
+    const char *value = request_query(r, key);
+    return value && strcmp(value, "1") == 0;
+}
+
+static void picture_made(void *ctx, enum err e, struct buf *file, uint64_t clamped)
 {
     struct request *r = request_of(ctx);
     if (!r)
@@ -470,10 +477,16 @@ static void picture_made(void *ctx, enum err e, struct buf *file)
     bool exr = strstr(r->route->path, ".exr") != NULL;
     request_reply(r, MHD_HTTP_OK, exr ? "image/x-exr" : "image/png", file);
     if (job && job->rec.has_image) {
-        char hex[DIGEST_HEX_BYTES], tag[DIGEST_HEX_BYTES + 16];
+        char hex[DIGEST_HEX_BYTES], tag[DIGEST_HEX_BYTES + 24];
         digest_to_hex(&job->rec.image, hex);
-        (void)snprintf(tag, sizeof tag, "\"sha256-%s\"", hex);
+        (void)snprintf(tag, sizeof tag, "\"sha256-%s%s\"", hex,
+                       exr && wants(r, "half") ? "-half" : "");
         request_header(r, "ETag", tag);
+    }
+    if (exr && wants(r, "half")) {
+        char count[24];
+        (void)snprintf(count, sizeof count, "%" PRIu64, clamped);
+        request_header(r, "X-Tilery-Clamped", count);
     }
 }
 
@@ -482,8 +495,7 @@ static void get_picture(struct request *r, enum picture_format format)
     struct job *job = job_of(r);
     if (!job)
         return;
-    const char *partial = request_query(r, "partial");
-    if (job->rec.state != JOB_STATE_DONE && !(partial && strcmp(partial, "1") == 0)) {
+    if (job->rec.state != JOB_STATE_DONE && !wants(r, "partial")) {
         request_problem(r, MHD_HTTP_CONFLICT, "unfinished",
                         job_state_ended(job->rec.state)
                             ? "the job was %s at %.1f %%; there is no finished picture"
@@ -507,7 +519,7 @@ static void get_picture(struct request *r, enum picture_format format)
 
 void http_get_exr(struct request *r)
 {
-    get_picture(r, PICTURE_EXR);
+    get_picture(r, wants(r, "half") ? PICTURE_EXR_HALF : PICTURE_EXR);
 }
 
 void http_get_png(struct request *r)

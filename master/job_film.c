@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/exr_file.h"
+#include "common/half.h"
 #include "common/log.h"
 #include "common/mem.h"
 #include "common/png_file.h"
@@ -405,16 +406,20 @@ struct picture {
     char software[64], job_text[24], seed[24], image[DIGEST_HEX_BYTES];
     char name[JOB_NAME_BYTES];
     enum err result;
+    uint64_t clamped; /* values too large for a half */
     struct buf file;
     picture_done *done;
     void *ctx;
 };
 
-static enum err encode(struct picture *w, const float *rgb)
+static enum err encode(struct picture *w, float *rgb)
 {
     const struct job_crop *crop = &w->spec.crop;
+    bool half = w->format == PICTURE_EXR_HALF;
     if (w->format == PICTURE_PNG)
         return png_write_rgb(rgb, crop->width, crop->height, 1.0, &w->file);
+    if (half)
+        w->clamped = half_clamp(rgb, (size_t)crop->width * crop->height * FILM_CHANNELS);
     struct exr_channel channels[] = {{"R", rgb, 3}, {"G", rgb + 1, 3}, {"B", rgb + 2, 3}};
     struct exr_attribute attributes[] = {
         {.name = "software", .type = EXR_TEXT, .text = w->software},
@@ -434,6 +439,7 @@ static enum err encode(struct picture *w, const float *rgb)
         .data_height = crop->height,
         .channels = channels,
         .channel_count = 3,
+        .half_count = half ? 3 : 0,
         .attributes = attributes,
         .attribute_count = w->spec.spp <= INT32_MAX ? attribute_count : attribute_count - 1,
     };
@@ -482,7 +488,7 @@ static void picture_after(uv_work_t *request, int status)
         film_let_go(w->farm, job);
     else
         job->film_users--;
-    w->done(w->ctx, status == 0 ? w->result : ERR_CANCELLED, &w->file);
+    w->done(w->ctx, status == 0 ? w->result : ERR_CANCELLED, &w->file, w->clamped);
     if (!w->farm->stopping)
         job_film_changed(w->farm, job); /* the last unit may have come meanwhile */
     buf_release(&w->file);

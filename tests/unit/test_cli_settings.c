@@ -9,6 +9,7 @@
 #include <cmocka.h>
 
 #include "client/cli_settings.h"
+#include "client/preset.h"
 #include "common/mem.h"
 
 static void release(struct cli *cli)
@@ -54,6 +55,69 @@ static void test_problems(void **state)
     release(&cli);
 }
 
+static void preset(struct cli *cli, const char *words, struct diag_list *problems)
+{
+    char text[400];
+    (void)snprintf(text, sizeof text, "%s", words);
+    diag_init(problems);
+    preset_read(cli, "p.preset", text, problems);
+}
+
+static void test_preset(void **state)
+{
+    struct cli cli = {.line = {.command = CLI_RENDER}};
+    struct diag_list problems;
+    (void)state;
+    cli.line.values[CLI_SAMPLER] = "halton"; /* the command line wins */
+    cli.origins[CLI_SAMPLER] = CLI_FROM_OPTION;
+    preset(&cli, "# draft\nspp = 12\nmax-depth= 5 \r\nsampler = sobol\nhalf = true\nprofile = NEE",
+           &problems);
+    assert_int_equal(problems.error_count, 0);
+    assert_int_equal(cli_count(&cli.line, CLI_SPP), 12);
+    assert_int_equal(cli_count(&cli.line, CLI_MAX_DEPTH), 5);
+    assert_string_equal(cli.line.values[CLI_SAMPLER], "halton");
+    assert_true(cli_flag(&cli.line, CLI_HALF));
+    assert_int_equal(cli_choice(&cli.line, CLI_PROFILE), JOB_PROFILE_NEE);
+    diag_release(&problems);
+    release(&cli);
+}
+
+static void test_preset_problems(void **state)
+{
+    struct cli cli = {.line = {.command = CLI_RENDER}};
+    struct diag_list problems;
+    (void)state;
+    preset(&cli,
+           "spq = 3\nspp = -1\nwords\noutput = a.exr\nhalf = maybe\nspp = 3\nspp = 4\n"
+           "preset = other\n",
+           &problems);
+    assert_int_equal(problems.error_count, 7);
+    for (size_t i = 0; i < problems.count; i++)
+        assert_string_equal(problems.items[i].id, "bad-preset");
+    assert_non_null(strstr(problems.items[0].hint, "spp"));
+    assert_int_equal(problems.items[6].line, 8);
+    assert_int_equal(cli_count(&cli.line, CLI_SPP), 3);
+    assert_false(cli_has(&cli.line, CLI_OUTPUT) || cli_has(&cli.line, CLI_PRESET));
+    diag_release(&problems);
+    release(&cli);
+}
+
+/* When to stop is one question: an answer on the command line replaces the file's. */
+static void test_preset_until(void **state)
+{
+    struct cli cli = {.line = {.command = CLI_RENDER}};
+    struct diag_list problems;
+    (void)state;
+    cli.line.values[CLI_TARGET_ERROR] = "0.1";
+    cli.origins[CLI_TARGET_ERROR] = CLI_FROM_OPTION;
+    preset(&cli, "spp = 12\nmax-depth = 5\n", &problems);
+    assert_int_equal(problems.error_count, 0);
+    assert_false(cli_has(&cli.line, CLI_SPP));
+    assert_true(cli_has(&cli.line, CLI_MAX_DEPTH));
+    diag_release(&problems);
+    release(&cli);
+}
+
 /* The option wins over the environment; what the command does not take is dropped. */
 static void test_order(void **state)
 {
@@ -81,9 +145,9 @@ static void test_order(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_file),
-        cmocka_unit_test(test_problems),
-        cmocka_unit_test(test_order),
+        cmocka_unit_test(test_file),         cmocka_unit_test(test_problems),
+        cmocka_unit_test(test_preset),       cmocka_unit_test(test_preset_problems),
+        cmocka_unit_test(test_preset_until), cmocka_unit_test(test_order),
     };
     return cmocka_run_group_tests_name("cli_settings", tests, NULL, NULL);
 }
