@@ -146,6 +146,19 @@ static bool check_share(const struct cli_option *o, const char *text, struct dia
     return false;
 }
 
+static bool check_aovs(const struct cli_option *o, const char *text, struct diag_list *problems)
+{
+    uint32_t set;
+    char bad[AOV_LIST_BYTES], all[AOV_LIST_BYTES + 32];
+    if (aov_parse(text, &set, bad))
+        return true;
+    size_t used = (size_t)snprintf(all, sizeof all, "known: ");
+    aov_list((UINT32_C(1) << AOV_COUNT) - 1, all + used);
+    complain(problems, "bad-value", all, "--%s %s: \"%s\" is none, or comes twice", o->name, text,
+             bad);
+    return false;
+}
+
 bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *problems)
 {
     const struct cli_option *o = &cli_options[id];
@@ -163,6 +176,8 @@ bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *
         return check_rectangle(o, text, problems);
     case CLI_CHOICE:
         return check_choice(o, text, problems);
+    case CLI_AOVS:
+        return check_aovs(o, text, problems);
     case CLI_TEXT:
     case CLI_PATH:
         if (text[0] != '\0')
@@ -384,6 +399,14 @@ void cli_size(const struct cli_line *line, uint32_t *width, uint32_t *height)
     TL_ASSERT(ok);
     *width = v[0];
     *height = v[1];
+}
+
+uint32_t cli_aovs(const struct cli_line *line)
+{
+    uint32_t set = 0;
+    bool ok = aov_parse(cli_text(line, CLI_AOV), &set, NULL);
+    TL_ASSERT(ok);
+    return set;
 }
 
 struct job_crop cli_crop(const struct cli_line *line)

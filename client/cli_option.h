@@ -62,6 +62,7 @@ enum cli_kind {
     CLI_SIZE,   /* WxH */
     CLI_CROP,   /* X,Y,W,H */
     CLI_CHOICE,
+    CLI_AOVS, /* names of aov.h, with commas */
 };
 
 enum cli_option_id {
@@ -162,6 +163,7 @@ double cli_number(const struct cli_line *line, enum cli_option_id id);
 double cli_share(const struct cli_line *line, enum cli_option_id id);
 int cli_choice(const struct cli_line *line, enum cli_option_id id);
 void cli_size(const struct cli_line *line, uint32_t *width, uint32_t *height);
+uint32_t cli_aovs(const struct cli_line *line);
 struct job_crop cli_crop(const struct cli_line *line);
 
 /* "true" for a flag given or set to true/yes/1/on in a settings file. */

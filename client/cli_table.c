@@ -130,11 +130,14 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                        .built = true,
                        .help = "only this part of the picture, with the same bits"},
     [CLI_AOV] = {.name = "aov",
-                 .kind = CLI_TEXT,
+                 .kind = CLI_AOVS,
                  .argument = "LIST",
                  .section = "picture",
                  .commands = JOB_COMMANDS,
-                 .help = "more channels: albedo, normal, depth, ..."},
+                 .built = true,
+                 .help =
+                     "more channels in the EXR: depth, position, uv, object, material, normal, ng, "
+                     "albedo, samples, error; as in depth,normal"},
     [CLI_SEED] = {.name = "seed",
                   .kind = CLI_COUNT,
                   .argument = "N",

@@ -50,6 +50,8 @@ static void take_size(struct job_spec *spec, const struct cli_line *line)
     }
     if (cli_has(line, CLI_CROP_XYWH))
         spec->crop = cli_crop(line);
+    if (cli_has(line, CLI_AOV))
+        spec->aov = cli_aovs(line);
 }
 
 static void apply_options(struct load *load, const struct cli_line *line)

@@ -51,6 +51,7 @@ static void fill_order(struct grid *g)
 enum err grid_init(struct grid *g, const struct job_spec *spec)
 {
     struct grid made = {.crop = spec->crop, .tile = spec->tile};
+    made.plane_count = job_plane_count(spec);
     made.column0 = spec->crop.x / spec->tile;
     made.row0 = spec->crop.y / spec->tile;
     made.columns = (spec->crop.x + spec->crop.width - 1) / spec->tile - made.column0 + 1;

@@ -3,7 +3,8 @@
  * Cells are squares of tile x tile pixels aligned to the full picture and cut to
  * the crop. Their order is a Hilbert curve over the cells that meet the crop, so
  * that a run of cells is a compact patch. A unit's payload holds its cells in this
- * order, each row by row. Pure; any thread.
+ * order, each row by row, plane after plane: R, G, B, then the AOVs' (aov.h). Pure; any
+ * thread.
  */
 #ifndef COMMON_GRID_H
 #define COMMON_GRID_H
@@ -19,7 +20,8 @@ struct grid {
     uint32_t tile;
     uint32_t column0, row0, columns, rows; /* cells that meet the crop */
     uint32_t cell_count;
-    uint32_t *order; /* cell position on the curve -> row * columns + column; owned */
+    uint32_t plane_count; /* of floats in a unit's payload: job_plane_count */
+    uint32_t *order;      /* cell position on the curve -> row * columns + column; owned */
 };
 
 enum { GRID_CELLS_MAX = 1 << 24 };

@@ -70,6 +70,19 @@ static bool crop_valid(const struct job_spec *s)
            c->width <= s->width - c->x && c->height <= s->height - c->y;
 }
 
+uint32_t job_plane_count(const struct job_spec *s)
+{
+    return JOB_COLOR_PLANES + aov_planes(s->aov, AOV_CENTRE) + aov_planes(s->aov, AOV_MEAN);
+}
+
+/* A cell is the least that a worker can send. */
+static bool cell_fits(const struct job_spec *s)
+{
+    uint64_t width = s->tile < s->width ? s->tile : s->width;
+    uint64_t height = s->tile < s->height ? s->tile : s->height;
+    return width * height * job_plane_count(s) <= JOB_CELL_VALUES_MAX;
+}
+
 static bool within(double v, double low, double high)
 {
     return isfinite(v) && v >= low && v <= high;
@@ -96,12 +109,15 @@ bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
                   "1 to 1048576");
     good &= check(within(s->rr_threshold, 0, limit), problems, "$.rr_threshold", "0 to 1000000");
     good &= check(s->tile >= 1 && s->tile <= JOB_TILE_MAX, problems, "$.tile", "1 to 65535");
+    good &= check(cell_fits(s), problems, "$.tile",
+                  "cells of at most 16777216 pixels, fewer with AOVs");
     good &= check(s->filter_radius > 0 && s->filter_radius <= FILTER_RADIUS_MAX, problems,
                   "$.filter_radius", "over 0, at most 64 pixels");
     good &= check(within(s->verify, 0, 1), problems, "$.verify", "a share from 0 to 1");
     good &= check(within(s->filter_alpha, 0, limit), problems, "$.filter_alpha", "0 to 1000000");
     good &= check(within(s->filter_b, -limit, limit), problems, "$.filter_b", "a finite number");
     good &= check(within(s->filter_c, -limit, limit), problems, "$.filter_c", "a finite number");
+    good &= check(s->aov >> AOV_COUNT == 0, problems, "$.aov", "known AOVs");
     good &= check(choices_valid(s), problems, "$",
                   "known integrator, profile, sampler, filter, "
                   "builder, intersector and precision");
@@ -134,9 +150,14 @@ char *job_spec_to_json(const struct job_spec *s)
     put_number(&b, "filter_alpha", s->filter_alpha);
     put_number(&b, "filter_b", s->filter_b);
     put_number(&b, "filter_c", s->filter_c);
-    buf_printf(&b, ",\"builder\":\"%s\",\"intersector\":\"%s\",\"precision\":\"%s\"}",
+    buf_printf(&b, ",\"builder\":\"%s\",\"intersector\":\"%s\",\"precision\":\"%s\"",
                job_builder_names[s->builder], job_intersector_names[s->intersector],
                job_precision_names[s->precision]);
+    char aovs[AOV_LIST_BYTES];
+    aov_list(s->aov, aovs);
+    if (s->aov != 0)
+        buf_printf(&b, ",\"aov\":\"%s\"", aovs);
+    buf_put_u8(&b, '}');
     buf_put_u8(&b, 0);
     if (buf_status(&b) == ERR_OK)
         return (char *)b.data;
@@ -187,13 +208,24 @@ static void read_crop(struct json_get *g, struct job_spec *s)
                                 (uint32_t)crop[3]};
 }
 
+static void read_aov(struct json_get *g, struct job_spec *s)
+{
+    const char *list = NULL;
+    char bad[AOV_LIST_BYTES], all[AOV_LIST_BYTES];
+    if (!json_get_text(g, g->root, "aov", &list) || !list || aov_parse(list, &s->aov, bad))
+        return;
+    aov_list((UINT32_C(1) << AOV_COUNT) - 1, all);
+    json_get_problem(g, DIAG_ERROR, json_get_member(g->root, "aov"), "out-of-range", NULL,
+                     "\"%s\" is no AOV or comes twice, expected a list of %s", bad, all);
+}
+
 static void read_fields(struct json_get *g, struct job_spec *s)
 {
     static const char *const known[] = {
-        "width",        "height",  "crop",        "spp",          "seed",
-        "max_depth",    "tile",    "integrator",  "rr_threshold", "profile",
-        "sampler",      "filter",  "filter_b",    "filter_c",     "filter_radius",
-        "filter_alpha", "builder", "intersector", "precision",    "verify",
+        "width",     "height",     "crop",          "spp",          "seed",    "max_depth",
+        "tile",      "integrator", "rr_threshold",  "profile",      "sampler", "filter",
+        "filter_b",  "filter_c",   "filter_radius", "filter_alpha", "builder", "intersector",
+        "precision", "verify",     "aov",
     };
     const struct json *o = g->root;
     const double limit = FILTER_PARAMETER_MAX;
@@ -201,6 +233,7 @@ static void read_fields(struct json_get *g, struct job_spec *s)
     (void)json_get_u32(g, o, "width", 1, JOB_SIDE_MAX, &s->width);
     (void)json_get_u32(g, o, "height", 1, JOB_SIDE_MAX, &s->height);
     read_crop(g, s);
+    read_aov(g, s);
     (void)json_get_u64(g, o, "spp", 1, JOB_SPP_MAX, &s->spp);
     (void)json_get_u64_text(g, o, "seed", &s->seed);
     (void)json_get_u32(g, o, "max_depth", 1, JOB_DEPTH_MAX, &s->max_depth);

@@ -8,6 +8,7 @@
 #ifndef COMMON_JOB_SPEC_H
 #define COMMON_JOB_SPEC_H
 
+#include "common/aov.h"
 #include "common/diag.h"
 #include "common/err.h"
 
@@ -59,6 +60,10 @@ extern const char *const job_precision_names[JOB_PRECISION_COUNT];
 /* Index of `name` in a table of names, or -1. */
 int job_choice_find(const char *const *names, int count, const char *name);
 
+enum {
+    JOB_COLOR_PLANES = 3,
+    JOB_CELL_VALUES_MAX = 3 << 24, /* of all planes of one cell: 192 MiB as float */
+};
 enum { JOB_SIDE_MAX = 65535, JOB_TILE_MAX = 65535, JOB_DEPTH_MAX = 1 << 20 };
 #define JOB_SPP_MAX (UINT64_C(1) << 40)
 
@@ -85,6 +90,7 @@ struct job_spec {
     enum job_builder builder;
     enum job_intersector intersector;
     enum job_precision precision;
+    uint32_t aov; /* set of aov.h */
 };
 
 /* The format's defaults: 600x600, path, 32 spp, depth 12, rr 0.1, box 0.5, tile 16, sobol. */
@@ -92,6 +98,9 @@ void job_spec_init(struct job_spec *s);
 
 /* True if every field is in range; with `problems` (may be NULL) says which are not. */
 TL_NODISCARD bool job_spec_valid(const struct job_spec *s, struct diag_list *problems);
+
+/* Planes of floats that a unit of the job has: R, G, B and those of its AOVs. */
+uint32_t job_plane_count(const struct job_spec *s);
 
 /* One line of JSON; you own it; NULL when out of memory. Seed as a string. */
 TL_NODISCARD char *job_spec_to_json(const struct job_spec *s);

@@ -13,7 +13,7 @@ struct film_wait {
     uint64_t pixels;
     /* Owned; planes of `pixels` finite floats. A cell that was dropped by a reset has a NaN for its
      * first value. NULL: the entry is a held-back reset of the unit's cells. */
-    float *rgb;
+    float *values;
 };
 
 struct film {
@@ -21,7 +21,7 @@ struct film {
     struct job_blocks blocks;
     uint64_t pixels;
     uint64_t *cell_offset;       /* cell_count + 1: first pixel of a cell in grid order */
-    double *sum[FILM_HALVES];    /* FILM_CHANNELS planes of `pixels` */
+    double *sum[FILM_HALVES];    /* grid->plane_count planes of `pixels` */
     uint16_t *next[FILM_HALVES]; /* per cell: blocks of the half that are added */
     uint64_t *present;           /* bit block * cell_count + cell */
     struct film_wait *waiting[JOB_BLOCKS_MAX];
@@ -47,7 +47,7 @@ static uint32_t half_blocks(const struct film *f, uint32_t half)
 uint64_t film_bytes_of(const struct job_spec *spec)
 {
     uint64_t pixels = (uint64_t)spec->crop.width * spec->crop.height;
-    return pixels * FILM_HALVES * FILM_CHANNELS * sizeof(double);
+    return pixels * FILM_HALVES * job_plane_count(spec) * sizeof(double);
 }
 
 enum err film_new(const struct grid *grid, const struct job_blocks *blocks, struct film **out)
@@ -70,7 +70,7 @@ enum err film_new(const struct grid *grid, const struct job_blocks *blocks, stru
     }
     f->cell_offset[grid->cell_count] = f->pixels;
     for (int half = 0; half < FILM_HALVES; half++) {
-        f->sum[half] = mem_calloc(f->pixels, FILM_CHANNELS * sizeof(double));
+        f->sum[half] = mem_calloc(f->pixels, grid->plane_count * sizeof(double));
         f->next[half] = mem_calloc(grid->cell_count, sizeof *f->next[half]);
         if (!f->sum[half] || !f->next[half])
             goto fail;
@@ -87,7 +87,7 @@ static void free_list(struct film_wait *w)
 {
     while (w) {
         struct film_wait *next = w->next;
-        mem_free(w->rgb);
+        mem_free(w->values);
         mem_free(w);
         w = next;
     }
@@ -185,11 +185,11 @@ static void add_cells(struct film *f, struct film_wait *w, uint32_t begin, uint3
     uint32_t half = half_of(w->unit.block);
     uint64_t first = f->cell_offset[begin], pixels = f->cell_offset[end] - first;
     uint64_t from = first - f->cell_offset[w->unit.cell_begin];
-    for (int channel = 0; channel < FILM_CHANNELS; channel++) {
-        double *sum = f->sum[half] + (uint64_t)channel * f->pixels + first;
-        const float *rgb = w->rgb + (uint64_t)channel * w->pixels + from;
+    for (uint32_t plane = 0; plane < f->grid->plane_count; plane++) {
+        double *sum = f->sum[half] + (uint64_t)plane * f->pixels + first;
+        const float *values = w->values + (uint64_t)plane * w->pixels + from;
         for (uint64_t i = 0; i < pixels; i++)
-            sum[i] += (double)rgb[i];
+            sum[i] += (double)values[i];
     }
     for (uint32_t cell = begin; cell < end; cell++)
         f->next[half][cell]++;
@@ -199,7 +199,7 @@ static void add_cells(struct film *f, struct film_wait *w, uint32_t begin, uint3
 
 static float *first_value(const struct film *f, const struct film_wait *w, uint32_t cell)
 {
-    return w->rgb + (f->cell_offset[cell] - f->cell_offset[w->unit.cell_begin]);
+    return w->values + (f->cell_offset[cell] - f->cell_offset[w->unit.cell_begin]);
 }
 
 /* True while the cell of a waiting unit is neither in the sums nor dropped. */
@@ -239,8 +239,8 @@ static void unlink_wait(struct film *f, struct film_wait **at)
 {
     struct film_wait *w = *at;
     *at = w->next;
-    f->waiting_bytes -= w->pixels * FILM_CHANNELS * sizeof(float);
-    mem_free(w->rgb);
+    f->waiting_bytes -= w->pixels * f->grid->plane_count * sizeof(float);
+    mem_free(w->values);
     mem_free(w);
 }
 
@@ -285,7 +285,7 @@ static void reset_cells(struct film *f, uint32_t begin, uint32_t end)
             drop_waiting(f, block, cell);
         uint64_t first = f->cell_offset[cell], pixels = f->cell_offset[cell + 1] - first;
         for (int half = 0; half < FILM_HALVES; half++) {
-            for (uint64_t c = 0; c < FILM_CHANNELS; c++)
+            for (uint64_t c = 0; c < f->grid->plane_count; c++)
                 memset(f->sum[half] + c * f->pixels + first, 0, pixels * sizeof(double));
             f->added_count -= f->next[half][cell];
             f->next[half][cell] = 0;
@@ -295,7 +295,7 @@ static void reset_cells(struct film *f, uint32_t begin, uint32_t end)
 
 static void place(struct film *f, struct film_wait *w)
 {
-    if (!w->rgb) {
+    if (!w->values) {
         reset_cells(f, w->unit.cell_begin, w->unit.cell_begin + w->unit.cell_count);
         mem_free(w);
         return;
@@ -315,7 +315,7 @@ static void place_or_hold(struct film *f, struct film_wait *w)
     }
 }
 
-enum err film_add(struct film *f, struct unit unit, float *rgb)
+enum err film_add(struct film *f, struct unit unit, float *values)
 {
     if (film_has_any(f, unit))
         return ERR_STATE;
@@ -325,8 +325,8 @@ enum err film_add(struct film *f, struct unit unit, float *rgb)
     w->unit = unit;
     w->cells_left = unit.cell_count;
     w->pixels = f->cell_offset[unit.cell_begin + unit.cell_count] - f->cell_offset[unit.cell_begin];
-    w->rgb = rgb;
-    f->waiting_bytes += w->pixels * FILM_CHANNELS * sizeof(float);
+    w->values = values;
+    f->waiting_bytes += w->pixels * f->grid->plane_count * sizeof(float);
     set_present(f, unit);
     place_or_hold(f, w);
     return ERR_OK;
@@ -392,6 +392,55 @@ void film_picture(const struct film *f, float *rgb)
                     rgb[(row + x) * FILM_CHANNELS + c] = (float)((f->sum[0][c * f->pixels + from] +
                                                                   f->sum[1][c * f->pixels + from]) /
                                                                  count);
+        }
+    }
+}
+
+/* Standard error of a pixel's mean over R, G and B, from the difference of its halves; 0 while one
+ * of them has no sample. */
+static double pixel_error(const struct film *f, uint64_t i, double na, double nb)
+{
+    double a = 0, b = 0;
+    for (uint64_t c = 0; c < FILM_CHANNELS; c++) {
+        a += f->sum[0][c * f->pixels + i];
+        b += f->sum[1][c * f->pixels + i];
+    }
+    if (na == 0 || nb == 0)
+        return 0;
+    return sqrt(na * nb) / (na + nb) * fabs(a / na - b / nb) / FILM_CHANNELS;
+}
+
+static double aov_value(const struct film *f, enum film_aov kind, uint32_t plane, uint64_t i,
+                        double na, double nb)
+{
+    double sum = 0;
+    if (kind == FILM_AOV_SUM || kind == FILM_AOV_MEAN)
+        sum = f->sum[0][plane * f->pixels + i] + f->sum[1][plane * f->pixels + i];
+    switch (kind) {
+    case FILM_AOV_SUM:
+        return sum;
+    case FILM_AOV_MEAN:
+        return na + nb > 0 ? sum / (na + nb) : 0;
+    case FILM_AOV_SAMPLES:
+        return na + nb;
+    case FILM_AOV_ERROR:
+        return pixel_error(f, i, na, nb);
+    }
+    return 0;
+}
+
+void film_aov(const struct film *f, enum film_aov kind, uint32_t plane, float *out)
+{
+    TL_ASSERT(plane < f->grid->plane_count);
+    const struct job_crop *crop = &f->grid->crop;
+    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
+        struct grid_rect r = grid_cell(f->grid, cell);
+        double na = (double)half_samples(f, 0, cell), nb = (double)half_samples(f, 1, cell);
+        uint64_t from = f->cell_offset[cell];
+        for (uint32_t y = 0; y < r.height; y++) {
+            uint64_t to = (uint64_t)(r.y - crop->y + y) * crop->width + (r.x - crop->x);
+            for (uint32_t x = 0; x < r.width; x++)
+                out[to++] = (float)aov_value(f, kind, plane, from++, na, nb);
         }
     }
 }
@@ -556,16 +605,18 @@ void film_check(const struct film *f)
 
 /* --- Saving ------------------------------------------------------------- */
 
-/* Layout, little-endian: magic, pixels, cell_count, block_count, spp, unit count; then next[] and
- * sums of half 0 and 1; then per waiting unit begin, count, block and its planes. */
+/* Layout, little-endian: magic, block_count, AOV planes, pixels, spp, cell_count, unit count; then
+ * next[] and sums of half 0 and 1; then per waiting unit begin, count, block and its planes. */
 enum { FILM_MAGIC = 0x314d4c46 /* "FLM1" */ };
 
 struct film_header {
-    uint32_t magic, block_count;
+    uint32_t magic;
+    uint16_t block_count, aov_planes;
     uint64_t pixels, spp;
     uint32_t cell_count, unit_count;
 };
 _Static_assert(sizeof(struct film_header) == 32, "written as it lies");
+_Static_assert(JOB_BLOCKS_MAX <= UINT16_MAX, "block_count");
 
 /* The next run of cells of a waiting unit, from `cell` on, that are not in the sums. */
 static bool left_run(const struct film *f, const struct film_wait *w, uint32_t cell,
@@ -603,8 +654,8 @@ static enum err save_unit(const struct film *f, const struct film_wait *w,
         uint64_t pixels = f->cell_offset[run.cell_begin + run.cell_count] - first;
         uint64_t from = first - f->cell_offset[w->unit.cell_begin];
         TL_TRY(write(ctx, &run, sizeof run));
-        for (uint64_t c = 0; c < FILM_CHANNELS; c++)
-            TL_TRY(write(ctx, w->rgb + c * w->pixels + from, pixels * sizeof(float)));
+        for (uint64_t c = 0; c < f->grid->plane_count; c++)
+            TL_TRY(write(ctx, w->values + c * w->pixels + from, pixels * sizeof(float)));
     }
     return ERR_OK;
 }
@@ -612,7 +663,8 @@ static enum err save_unit(const struct film *f, const struct film_wait *w,
 static struct film_header header_of(const struct film *f)
 {
     return (struct film_header){.magic = FILM_MAGIC,
-                                .block_count = f->blocks.count,
+                                .block_count = (uint16_t)f->blocks.count,
+                                .aov_planes = (uint16_t)(f->grid->plane_count - FILM_CHANNELS),
                                 .pixels = f->pixels,
                                 .spp = f->blocks.spp,
                                 .cell_count = f->grid->cell_count};
@@ -626,7 +678,7 @@ enum err film_save(const struct film *f,
     TL_TRY(write(ctx, &header, sizeof header));
     for (int half = 0; half < FILM_HALVES; half++) {
         TL_TRY(write(ctx, f->next[half], f->grid->cell_count * sizeof *f->next[half]));
-        TL_TRY(write(ctx, f->sum[half], f->pixels * FILM_CHANNELS * sizeof(double)));
+        TL_TRY(write(ctx, f->sum[half], f->pixels * f->grid->plane_count * sizeof(double)));
     }
     for (uint32_t block = 0; block < f->blocks.count; block++)
         for (const struct film_wait *w = f->waiting[block]; w; w = w->next)
@@ -639,7 +691,7 @@ static enum err load_sums(struct film *f, enum err (*read)(void *ctx, void *data
 {
     for (uint32_t half = 0; half < FILM_HALVES; half++) {
         TL_TRY(read(ctx, f->next[half], f->grid->cell_count * sizeof *f->next[half]));
-        TL_TRY(read(ctx, f->sum[half], f->pixels * FILM_CHANNELS * sizeof(double)));
+        TL_TRY(read(ctx, f->sum[half], f->pixels * f->grid->plane_count * sizeof(double)));
         for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
             if (f->next[half][cell] > half_blocks(f, half))
                 return ERR_CORRUPT;
@@ -647,7 +699,7 @@ static enum err load_sums(struct film *f, enum err (*read)(void *ctx, void *data
                 set_present(f, (struct unit){cell, 1, 2 * i + half});
             f->added_count += f->next[half][cell];
         }
-        for (uint64_t i = 0; i < f->pixels * FILM_CHANNELS; i++)
+        for (uint64_t i = 0; i < f->pixels * f->grid->plane_count; i++)
             if (!isfinite(f->sum[half][i]))
                 return ERR_CORRUPT;
     }
@@ -663,19 +715,19 @@ static enum err load_unit(struct film *f, enum err (*read)(void *ctx, void *data
         return ERR_CORRUPT;
     uint64_t pixels =
         f->cell_offset[unit.cell_begin + unit.cell_count] - f->cell_offset[unit.cell_begin];
-    float *rgb = mem_alloc_array(pixels, FILM_CHANNELS * sizeof(float));
-    if (!rgb)
+    float *values = mem_alloc_array(pixels, f->grid->plane_count * sizeof(float));
+    if (!values)
         return ERR_NOMEM;
-    enum err e = read(ctx, rgb, pixels * FILM_CHANNELS * sizeof(float));
-    for (uint64_t i = 0; e == ERR_OK && i < pixels * FILM_CHANNELS; i++)
-        if (!isfinite(rgb[i]))
+    enum err e = read(ctx, values, pixels * f->grid->plane_count * sizeof(float));
+    for (uint64_t i = 0; e == ERR_OK && i < pixels * f->grid->plane_count; i++)
+        if (!isfinite(values[i]))
             e = ERR_CORRUPT;
     if (e == ERR_OK)
-        e = film_add(f, unit, rgb);
+        e = film_add(f, unit, values);
     if (e == ERR_STATE)
         e = ERR_CORRUPT;
     if (e != ERR_OK)
-        mem_free(rgb);
+        mem_free(values);
     return e;
 }
 

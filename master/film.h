@@ -1,7 +1,7 @@
 /* master/film.h: where the block sums of a job's units become a picture.
  *
- * Per pixel and colour two double sums, one for each half (even and odd sample
- * blocks). Blocks are added per pixel strictly in block order within each half,
+ * Per pixel and plane (R, G, B, then the AOVs') two double sums, one for each half (even
+ * and odd sample blocks). Blocks are added per pixel strictly in block order within each half,
  * whatever order they arrive in, so that the picture's bits depend on nothing but the
  * job. A block that comes before its predecessor waits in memory; the scheduler's
  * window bounds how much can wait.
@@ -26,7 +26,7 @@
 #include "common/digest.h"
 #include "common/grid.h"
 
-enum { FILM_CHANNELS = 3, FILM_HALVES = 2 };
+enum { FILM_CHANNELS = JOB_COLOR_PLANES, FILM_HALVES = 2 };
 
 struct film; /* opaque */
 
@@ -38,10 +38,10 @@ TL_NODISCARD enum err film_new(const struct grid *grid, const struct job_blocks 
                                struct film **out);
 void film_free(struct film *f);
 
-/* Takes `rgb` (mem_alloc'ed: FILM_CHANNELS planes of grid_pixels(unit) floats) on success.
- * ERR_STATE: a cell of the unit already has this block. ERR_NOMEM. The unit must be one of the
- * grid's (grid_has_unit). */
-TL_NODISCARD enum err film_add(struct film *f, struct unit unit, float *rgb);
+/* Takes `values` (mem_alloc'ed: the grid's plane_count planes of grid_pixels(unit) floats) on
+ * success. ERR_STATE: a cell of the unit already has this block. ERR_NOMEM. The unit must be one of
+ * the grid's (grid_has_unit). */
+TL_NODISCARD enum err film_add(struct film *f, struct unit unit, float *values);
 
 /* These cells start again from nothing: what they had, waiting payloads included, is dropped.
  * ERR_NOMEM (only while somebody reads): nothing changed. */
@@ -67,6 +67,12 @@ void film_read_end(struct film *f);
 /* Reader. Linear RGB, row by row of the crop, FILM_CHANNELS floats a pixel: (A + B) over the
  * samples that are in. Pixels without samples are 0. */
 void film_picture(const struct film *f, float *rgb);
+
+/* Reader. A float a pixel, row by row of the crop, of what aov.h describes: the sum or the mean of
+ * a plane, the samples that are in, or the standard error of the mean over R, G and B. Beyond
+ * 2^24 samples a count is rounded. */
+enum film_aov { FILM_AOV_SUM, FILM_AOV_MEAN, FILM_AOV_SAMPLES, FILM_AOV_ERROR };
+void film_aov(const struct film *f, enum film_aov kind, uint32_t plane, float *out);
 
 /* What the halves say about the picture's error; all 0 and false when a pixel has no sample in
  * one of the halves. relMSE as in ARCHITECTURE.md, its reference replaced by the picture

@@ -412,15 +412,58 @@ struct picture {
     void *ctx;
 };
 
-static enum err encode(struct picture *w, float *rgb)
+static enum film_aov film_aov_of(enum aov a)
+{
+    switch (aov_table[a].kind) {
+    case AOV_CENTRE:
+        return FILM_AOV_SUM;
+    case AOV_MEAN:
+        return FILM_AOV_MEAN;
+    case AOV_FILM:
+        break;
+    }
+    return a == AOV_SAMPLES ? FILM_AOV_SAMPLES : FILM_AOV_ERROR;
+}
+
+/* The channels of a file with their names and pixels. */
+struct channels {
+    struct exr_channel list[FILM_CHANNELS + AOV_CHANNELS_MAX];
+    char names[AOV_CHANNELS_MAX][AOV_CHANNEL_BYTES];
+    uint32_t count;
+};
+
+/* Appends the job's AOVs, planes of `pixels` floats in `out`; without a film they are 0. */
+static void add_aovs(struct channels *c, uint32_t set, const struct film *film, uint64_t pixels,
+                     float *out)
+{
+    uint32_t plane = FILM_CHANNELS; /* in the film, in the table's order */
+    for (enum aov a = 0; a < AOV_COUNT; a++) {
+        for (uint32_t i = 0; aov_has(set, a) && i < aov_table[a].channel_count; i++) {
+            bool of_film = aov_table[a].kind == AOV_FILM;
+            if (film)
+                film_aov(film, film_aov_of(a), of_film ? 0 : plane, out);
+            plane += !of_film;
+            char *name = c->names[c->count - FILM_CHANNELS];
+            aov_channel_name(a, i, name);
+            c->list[c->count++] = (struct exr_channel){name, out, 1};
+            out += pixels;
+        }
+    }
+}
+
+/* Channels of all AOVs of a set. */
+static uint32_t aov_channels(uint32_t set)
+{
+    uint32_t count = 0;
+    for (enum aov a = 0; a < AOV_COUNT; a++)
+        count += aov_has(set, a) ? aov_table[a].channel_count : 0;
+    return count;
+}
+
+static enum err encode_exr(struct picture *w, const struct channels *channels)
 {
     const struct job_crop *crop = &w->spec.crop;
     bool half = w->format == PICTURE_EXR_HALF;
-    if (w->format == PICTURE_PNG)
-        return png_write_rgb(rgb, crop->width, crop->height, 1.0, &w->file);
-    if (half)
-        w->clamped = half_clamp(rgb, (size_t)crop->width * crop->height * FILM_CHANNELS);
-    struct exr_channel channels[] = {{"R", rgb, 3}, {"G", rgb + 1, 3}, {"B", rgb + 2, 3}};
     struct exr_attribute attributes[] = {
         {.name = "software", .type = EXR_TEXT, .text = w->software},
         {.name = "tilery.job", .type = EXR_TEXT, .text = w->job_text},
@@ -437,9 +480,9 @@ static enum err encode(struct picture *w, float *rgb)
         .y = crop->y,
         .data_width = crop->width,
         .data_height = crop->height,
-        .channels = channels,
-        .channel_count = 3,
-        .half_count = half ? 3 : 0,
+        .channels = channels->list,
+        .channel_count = channels->count,
+        .half_count = half ? FILM_CHANNELS : 0,
         .attributes = attributes,
         .attribute_count = w->spec.spp <= INT32_MAX ? attribute_count : attribute_count - 1,
     };
@@ -449,12 +492,23 @@ static enum err encode(struct picture *w, float *rgb)
 static enum err draw(struct picture *w, const struct film *film)
 {
     uint64_t pixels = (uint64_t)w->spec.crop.width * w->spec.crop.height;
-    float *rgb = mem_calloc(pixels, FILM_CHANNELS * sizeof(float));
+    uint32_t set = w->format == PICTURE_PNG ? 0 : w->spec.aov;
+    float *rgb = mem_calloc(pixels, (FILM_CHANNELS + aov_channels(set)) * sizeof(float));
     if (!rgb)
         return ERR_NOMEM;
     if (film)
         film_picture(film, rgb);
-    enum err e = encode(w, rgb);
+    enum err e;
+    if (w->format == PICTURE_PNG) {
+        e = png_write_rgb(rgb, w->spec.crop.width, w->spec.crop.height, 1.0, &w->file);
+    } else {
+        if (w->format == PICTURE_EXR_HALF)
+            w->clamped = half_clamp(rgb, (size_t)pixels * FILM_CHANNELS);
+        struct channels channels = {.list = {{"R", rgb, 3}, {"G", rgb + 1, 3}, {"B", rgb + 2, 3}},
+                                    .count = FILM_CHANNELS};
+        add_aovs(&channels, set, film, pixels, rgb + FILM_CHANNELS * pixels);
+        e = encode_exr(w, &channels);
+    }
     mem_free(rgb);
     return e;
 }

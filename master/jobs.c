@@ -368,9 +368,8 @@ static void free_tables(struct job *job)
 /* What one result frame can carry. */
 static uint32_t cells_per_result(const struct job_spec *spec)
 {
-    uint64_t side = spec->tile;
-    uint64_t cells = side * side < LIMIT_UNIT_PIXELS ? LIMIT_UNIT_PIXELS / (side * side) : 1;
-    return (uint32_t)cells;
+    uint64_t side = spec->tile, values = side * side * job_plane_count(spec);
+    return values < LIMIT_UNIT_VALUES ? (uint32_t)(LIMIT_UNIT_VALUES / values) : 1;
 }
 
 static enum err admit(struct farm *f, struct job *job)

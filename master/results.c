@@ -15,10 +15,11 @@ struct result {
     uint64_t worker;
     struct journal_result record;
     unsigned char *body;   /* owned until it is handed to the store */
-    float *rgb;            /* owned until it is handed to the film */
+    float *values;         /* owned until it is handed to the film */
     uint64_t *cell_hash;   /* owned; per cell of the unit */
     uint32_t *cell_pixels; /* owned */
     uint64_t pixels;
+    uint32_t planes;
     uint64_t hash;
     enum err error;
     const char *what;   /* is wrong with it */
@@ -30,7 +31,7 @@ struct result {
 static void result_free(struct result *r)
 {
     mem_free(r->body);
-    mem_free(r->rgb);
+    mem_free(r->values);
     mem_free(r->cell_hash);
     mem_free(r->cell_pixels);
     mem_free(r);
@@ -56,8 +57,8 @@ static uint64_t hash_cell(const struct result *r, uint64_t first, uint64_t pixel
     struct digest_ctx c;
     if (digest_begin(&c) != ERR_OK)
         return 0; /* not known: never compared */
-    for (uint64_t plane = 0; plane < FILM_CHANNELS; plane++)
-        digest_add(&c, r->rgb + plane * r->pixels + first, pixels * sizeof(float));
+    for (uint64_t plane = 0; plane < r->planes; plane++)
+        digest_add(&c, r->values + plane * r->pixels + first, pixels * sizeof(float));
     digest d = digest_end(&c);
     uint64_t hash;
     memcpy(&hash, d.bytes, sizeof hash);
@@ -72,14 +73,14 @@ static uint64_t fold(uint64_t so_far, uint64_t cell_hash)
 
 static void decode(struct result *r)
 {
-    size_t values = (size_t)r->pixels * FILM_CHANNELS;
-    r->error = tile_codec_decode(r->body, r->record.body_bytes, r->rgb, values);
+    size_t value_count = (size_t)r->pixels * r->planes;
+    r->error = tile_codec_decode(r->body, r->record.body_bytes, r->values, value_count);
     if (r->error != ERR_OK) {
         r->what = "pixels that do not decode";
         return;
     }
-    for (size_t i = 0; i < values; i++)
-        if (!isfinite(r->rgb[i])) {
+    for (size_t i = 0; i < value_count; i++)
+        if (!isfinite(r->values[i])) {
             r->error = ERR_CORRUPT;
             r->what = "a pixel that is not finite";
             return;
@@ -128,7 +129,7 @@ static const char *implausible(const struct job *job, const struct journal_resul
     struct job_block block = job_block_at(&job->blocks, r->unit.block);
     if (r->samples != pixels * block.count)
         return "a number of samples that is not the unit's";
-    if (r->raw_bytes != pixels * FILM_CHANNELS * sizeof(float))
+    if (r->raw_bytes != pixels * job->grid.plane_count * sizeof(float))
         return "a size that is not the unit's";
     if (r->nonfinite > r->samples)
         return "more bad samples than samples";
@@ -191,6 +192,7 @@ static struct result *result_new(struct farm *f, const struct job *job, uint64_t
     r->farm = f;
     r->worker = worker;
     r->record = *record;
+    r->planes = job->grid.plane_count;
     r->cell_hash = mem_calloc(record->unit.cell_count, sizeof *r->cell_hash);
     r->cell_pixels = mem_calloc(record->unit.cell_count, sizeof *r->cell_pixels);
     if (r->cell_hash && r->cell_pixels) {
@@ -199,9 +201,9 @@ static struct result *result_new(struct farm *f, const struct job *job, uint64_t
             r->cell_pixels[i] = rect.width * rect.height;
             r->pixels += r->cell_pixels[i];
         }
-        r->rgb = mem_alloc_array((size_t)r->pixels, FILM_CHANNELS * sizeof(float));
+        r->values = mem_alloc_array((size_t)r->pixels, r->planes * sizeof(float));
     }
-    if (!r->rgb) {
+    if (!r->values) {
         result_free(r);
         return NULL;
     }
@@ -263,7 +265,7 @@ void results_take(struct farm *f, struct worker *w, const tilery_Result *m, unsi
 struct storing {
     struct result *result;
     struct journal_result record;
-    float *rgb; /* owned */
+    float *values; /* owned */
 };
 
 static void add_totals(struct job *job, const struct journal_result *r)
@@ -304,9 +306,9 @@ static void on_stored(void *ctx, enum err e)
     if (e == ERR_OK) {
         job->has_stored = true;
         job->journal_bytes += JOURNAL_HEADER_BYTES + (uint64_t)s->record.body_bytes;
-        e = film_add(job->film, s->record.unit, s->rgb);
+        e = film_add(job->film, s->record.unit, s->values);
         if (e == ERR_OK) {
-            s->rgb = NULL;
+            s->values = NULL;
             add_totals(job, &s->record);
             note_contributor(job, s->record.worker);
             job->last_result_us = farm_wall_us();
@@ -320,7 +322,7 @@ static void on_stored(void *ctx, enum err e)
         r->failed = true;
         jobs_disk_trouble(f, job, e);
     }
-    mem_free(s->rgb);
+    mem_free(s->values);
     mem_free(s);
     r->runs_open--;
     settle(r);
@@ -337,11 +339,12 @@ static float *cut_pixels(const struct result *r, uint32_t skip, uint32_t count, 
     uint64_t first = 0, length = 0;
     for (uint32_t i = 0; i < skip + count; i++)
         *(i < skip ? &first : &length) += r->cell_pixels[i];
-    float *rgb = mem_alloc_array((size_t)length, FILM_CHANNELS * sizeof(float));
-    for (uint64_t plane = 0; rgb && plane < FILM_CHANNELS; plane++)
-        memcpy(rgb + plane * length, r->rgb + plane * r->pixels + first, length * sizeof(float));
+    float *values = mem_alloc_array((size_t)length, r->planes * sizeof(float));
+    for (uint64_t plane = 0; values && plane < r->planes; plane++)
+        memcpy(values + plane * length, r->values + plane * r->pixels + first,
+               length * sizeof(float));
     *pixels = length;
-    return rgb;
+    return values;
 }
 
 /* The record of a run: the whole result's, or its share. */
@@ -350,20 +353,20 @@ static enum err cut_record(struct result *r, struct unit run, struct storing *s,
 {
     s->record = r->record;
     if (run.cell_count == r->record.unit.cell_count) {
-        s->rgb = r->rgb;
+        s->values = r->values;
         *body = r->body;
-        r->rgb = NULL;
+        r->values = NULL;
         r->body = NULL;
         return ERR_OK;
     }
     uint64_t pixels = 0;
     size_t bytes = 0;
-    s->rgb = cut_pixels(r, run.cell_begin - r->record.unit.cell_begin, run.cell_count, &pixels);
-    if (!s->rgb)
+    s->values = cut_pixels(r, run.cell_begin - r->record.unit.cell_begin, run.cell_count, &pixels);
+    if (!s->values)
         return ERR_NOMEM;
-    enum err e = tile_codec_encode(s->rgb, (size_t)pixels * FILM_CHANNELS, body, &bytes);
+    enum err e = tile_codec_encode(s->values, (size_t)pixels * r->planes, body, &bytes);
     if (e != ERR_OK) {
-        mem_free(s->rgb);
+        mem_free(s->values);
         return e;
     }
     double share = (double)pixels / (double)r->pixels;
@@ -371,7 +374,7 @@ static enum err cut_record(struct result *r, struct unit run, struct storing *s,
     s->record.samples = r->record.samples / r->pixels * pixels;
     s->record.rays = (uint64_t)((double)r->record.rays * share);
     s->record.render_us = (uint64_t)((double)r->record.render_us * share);
-    s->record.raw_bytes = (uint32_t)(pixels * FILM_CHANNELS * sizeof(float));
+    s->record.raw_bytes = (uint32_t)(pixels * r->planes * sizeof(float));
     s->record.body_bytes = (uint32_t)bytes;
     /* Bad samples are told once, with the first part. */
     r->record.nonfinite = 0;
@@ -415,7 +418,7 @@ void results_accept(struct farm *f, const struct sched_action *a)
         r->runs_open--;
         job->in_store--;
         r->failed = true;
-        mem_free(s->rgb);
+        mem_free(s->values);
         mem_free(s);
         jobs_fail(f, job, err_text(e));
     }
@@ -556,14 +559,15 @@ enum err results_replay(void *ctx, struct film *film, const struct journal_resul
     if (!grid_has_unit(&job->grid, &job->blocks, r->unit))
         return ERR_CORRUPT;
     uint64_t pixels = grid_pixels(&job->grid, r->unit.cell_begin, r->unit.cell_count);
-    float *rgb = mem_alloc_array((size_t)pixels, FILM_CHANNELS * sizeof(float));
-    if (!rgb)
+    uint32_t planes = job->grid.plane_count;
+    float *values = mem_alloc_array((size_t)pixels, planes * sizeof(float));
+    if (!values)
         return ERR_NOMEM;
-    enum err e = tile_codec_decode(body, r->body_bytes, rgb, (size_t)pixels * FILM_CHANNELS);
+    enum err e = tile_codec_decode(body, r->body_bytes, values, (size_t)pixels * planes);
     if (e == ERR_OK)
-        e = film_add(film, r->unit, rgb);
+        e = film_add(film, r->unit, values);
     if (e != ERR_OK) {
-        mem_free(rgb);
+        mem_free(values);
         return e;
     }
     add_totals(job, r);

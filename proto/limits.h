@@ -19,8 +19,8 @@ enum {
     LIMIT_HEARTBEAT_MS = 60 * 1000, /* longest interval a Welcome may ask for */
     LIMIT_MISSED_HEARTBEATS = 3,    /* silence, in intervals, after which a peer is lost */
 
-    LIMIT_UNIT_PIXELS = 1 << 24, /* of one unit: 192 MiB as float RGB */
-    LIMIT_UNIT_RAW_BYTES = LIMIT_UNIT_PIXELS * 3 * 4,
+    LIMIT_UNIT_VALUES = 3 << 24, /* floats of one unit: 2^24 pixels of RGB, fewer with AOVs */
+    LIMIT_UNIT_RAW_BYTES = LIMIT_UNIT_VALUES * 4,
 
     LIMIT_ZSTD_WINDOW_LOG = 20, /* of any zstd frame on the wire */
 

@@ -146,8 +146,9 @@ static const char *check_hello(const tilery_Hello *h)
 
 static const char *check_result(const tilery_Result *r)
 {
-    if (r->raw_bytes == 0 || r->raw_bytes % 12 != 0 || r->raw_bytes > LIMIT_UNIT_RAW_BYTES)
-        return "a result that is no whole number of pixels within the limit";
+    if (r->raw_bytes == 0 || r->raw_bytes % sizeof(float) != 0 ||
+        r->raw_bytes > LIMIT_UNIT_RAW_BYTES)
+        return "a result that is no whole number of values within the limit";
     if (r->nonfinite > r->samples)
         return "more non-finite samples than samples";
     return check_run(r->cell_begin, r->cell_count);

@@ -1,6 +1,6 @@
 /* proto/tile_codec.h: the pixels of a unit as bytes, smaller and exact.
  *
- * The floats (planes R, G, B of a unit's pixels in grid order) are cut into four
+ * The floats (planes R, G, B and those of AOVs, of a unit's pixels in grid order) are cut into four
  * byte planes (all lowest bytes, ..., all highest bytes), each byte is replaced by
  * its difference from the one before it in its plane, and the whole is one zstd
  * frame of level 1 with content size and checksum. Any 32 bits pass unchanged:
@@ -16,8 +16,8 @@
 #include "common/err.h"
 #include "proto/limits.h"
 
-/* Values of one call at most: three planes of the largest unit. */
-enum { TILE_CODEC_VALUES_MAX = LIMIT_UNIT_PIXELS * 3 };
+/* Values of one call at most: all planes of the largest unit. */
+enum { TILE_CODEC_VALUES_MAX = LIMIT_UNIT_VALUES };
 
 /* The most bytes an encoding of that many values can have. */
 size_t tile_codec_bound(size_t value_count);

@@ -162,7 +162,7 @@ static void run_unit(struct pool_task *task, uint32_t thread)
 {
     struct lease *lease = (struct lease *)task;
     size_t value_count =
-        RENDER_CHANNELS *
+        lease->job->grid.plane_count *
         (size_t)grid_pixels(&lease->job->grid, lease->unit.cell_begin, lease->unit.cell_count);
     lease->raw_bytes = (uint32_t)(value_count * sizeof(float));
     float *rgb = mem_alloc_array(value_count, sizeof *rgb);
@@ -257,7 +257,8 @@ static enum err on_lease(struct work *w, const tilery_Lease *m)
     if (job->state == WORKER_JOB_FAILED)
         return ERR_OK; /* JobFailed has returned it */
     if (!grid_has_unit(&job->grid, &job->blocks, unit) ||
-        grid_pixels(&job->grid, unit.cell_begin, unit.cell_count) > LIMIT_UNIT_PIXELS) {
+        job->grid.plane_count * grid_pixels(&job->grid, unit.cell_begin, unit.cell_count) >
+            LIMIT_UNIT_VALUES) {
         say_unit_failed(w, m->job, m->epoch, ERR_INPUT, "no unit of this job");
         return ERR_OK;
     }

@@ -65,7 +65,7 @@ static void *bare_thread(void *arg)
     struct bare *b = arg;
     struct render_scratch *scratch;
     uint64_t pixels_max = (uint64_t)b->grid.tile * b->grid.tile * CELLS_PER_UNIT;
-    float *rgb = mem_alloc_array(pixels_max * RENDER_CHANNELS, sizeof *rgb);
+    float *rgb = mem_alloc_array(pixels_max * JOB_COLOR_PLANES, sizeof *rgb);
     if (!rgb || render_scratch_new(&scratch) != ERR_OK)
         fail("out of memory");
     for (uint32_t i; (i = atomic_fetch_add(&b->next, 1)) < b->unit_count;) {

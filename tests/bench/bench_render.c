@@ -91,7 +91,7 @@ static void *render_cells(void *arg)
     struct render_scratch *scratch;
     struct job_blocks blocks = job_blocks_of(job->picture->spp);
     size_t side = job->grid->tile;
-    float *rgb = need(mem_alloc_array(side * side, RENDER_CHANNELS * sizeof *rgb));
+    float *rgb = need(mem_alloc_array(side * side, JOB_COLOR_PLANES * sizeof *rgb));
     if (render_scratch_new(&scratch) != ERR_OK)
         need(NULL);
     for (;;) {

@@ -210,7 +210,7 @@ USAGE = {
     "fast": (("render", "a.json", "-o", "b.exr", "--precision", "fast"), "not built yet"),
     "target error": (("render", "a.json", "-o", "b.exr", "--target-error", "0.1"), "not built yet"),
     "time limit": (("render", "a.json", "-o", "b.exr", "--time-limit", "3"), "not built yet"),
-    "aov": (("render", "a.json", "-o", "b.exr", "--aov", "normal"), "not built yet"),
+    "aov": (("render", "a.json", "-o", "b.exr", "--aov", "norml"), "known: depth,position"),
     "frames": (("submit", "a.json", "--frames", "1-3"), "not built yet"),
     "tradeoff": (("tradeoff", "a.json", "-o", "folder"), "not built yet"),
     "output without wait": (("submit", "a.json", "-o", "b.exr"), "--wait"),

@@ -87,6 +87,27 @@ def test_one_hash(tmp_path):
     assert len(set(hashes.values())) == 1, hashes
 
 
+def test_aovs(tmp_path):
+    """More channels, the same on any farm; the picture's own bits do not know of them."""
+    names = "depth,position,uv,object,material,normal,ng,albedo,samples,error"
+    plain, _ = render(GLASS_SCENE, tmp_path / "plain.exr", *SMALL)
+    first, _ = render(GLASS_SCENE, tmp_path / "a.exr", *SMALL, "--aov", names)
+    render(GLASS_SCENE, tmp_path / "b.exr", *SMALL, "--aov", names, "--workers", "3", "--tile", "7")
+    assert first["image_sha256"] == plain["image_sha256"]
+    _, a = exr_pixels.read(tmp_path / "a.exr")
+    _, b = exr_pixels.read(tmp_path / "b.exr")
+    _, few = exr_pixels.read(tmp_path / "plain.exr")
+    assert sorted(few) == ["B", "G", "R"]
+    assert len(a) == 3 + 19 and {"depth", "normal.X", "uv.V", "albedo.B", "error"} < set(a)
+    for name, plane in a.items():
+        assert (plane == b[name]).all(), name
+    assert (a["samples"] == 4).all() and ((a["depth"] > 0) == (a["object"] > 0)).all()
+    assert (a["object"] == numpy.round(a["object"])).all() and len(numpy.unique(a["object"])) > 4
+    assert a["error"].max() > 0
+    length = a["ng.X"] ** 2 + a["ng.Y"] ** 2 + a["ng.Z"] ** 2
+    assert numpy.median(length) == pytest.approx(1, abs=1e-5)
+
+
 def test_seed_changes_the_picture(tmp_path):
     """The identity above would be worth nothing if every picture were the same."""
     a, _ = render(GLASS_SCENE, tmp_path / "a.exr", *SMALL, "--seed", 1)

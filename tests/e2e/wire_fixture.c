@@ -72,7 +72,7 @@ static void save_units(const char *folder, const struct scene *scene, const stru
             struct unit unit = {.cell_begin = begin, .cell_count = cells_per_unit, .block = block};
             if (unit.cell_count > grid.cell_count - begin)
                 unit.cell_count = grid.cell_count - begin;
-            size_t values = RENDER_CHANNELS * (size_t)grid_pixels(&grid, begin, unit.cell_count);
+            size_t values = grid.plane_count * (size_t)grid_pixels(&grid, begin, unit.cell_count);
             float *rgb = mem_alloc_array(values, sizeof *rgb);
             struct render_counters counters;
             must(rgb && render_unit(built, &grid, unit, scratch, NULL, rgb, &counters) == ERR_OK,

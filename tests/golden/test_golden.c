@@ -38,10 +38,10 @@ static int digest_of_render(const struct render_scene *built, const struct job_s
         for (uint32_t cell = 0; cell < grid.cell_count; cell++) {
             struct unit unit = {.cell_begin = cell, .cell_count = 1, .block = block};
             struct render_counters counters;
-            float rgb[RENDER_CHANNELS * 16 * 16];
+            float rgb[JOB_COLOR_PLANES * 16 * 16];
             if (render_unit(built, &grid, unit, scratch, NULL, rgb, &counters) != ERR_OK)
                 status = FAILED;
-            digest_add(&hash, rgb, grid_pixels(&grid, cell, 1) * RENDER_CHANNELS * sizeof *rgb);
+            digest_add(&hash, rgb, grid_pixels(&grid, cell, 1) * JOB_COLOR_PLANES * sizeof *rgb);
         }
     }
     *out = digest_end(&hash);

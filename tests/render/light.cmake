@@ -13,6 +13,8 @@ tilery_test(test_surface LABEL render LINKS tl_worker m ARGS --but-rows
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_surface.c ${render_kit})
 tilery_test(test_scene_build LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_build.c ${render_kit})
+tilery_test(test_aov LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_aov.c ${render_kit})
 
 # What of these is a row of the matrix of extremes runs by its id, under both labels.
 numerics_rows(test_transport ALSO render ROWS test_t13_integrating_sphere

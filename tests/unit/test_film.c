@@ -337,6 +337,55 @@ static void test_load_damaged(void **state)
     grid_release(&r.grid);
 }
 
+/* Sums, means, counts and the error of a pixel, before and after a stay on disk. */
+static void test_aovs(void **state)
+{
+    (void)state;
+    struct rig r;
+    rig_init(&r, 11, 7, 4, 6);
+    grid_release(&r.grid);
+    assert_true(aov_parse("object,albedo,samples,error", &r.spec.aov, NULL));
+    assert_int_equal(grid_init(&r.grid, &r.spec), ERR_OK);
+    assert_int_equal(r.grid.plane_count, 3 + 1 + 3);
+    struct film *f, *plain;
+    assert_int_equal(film_new(&r.grid, &r.blocks, &f), ERR_OK);
+    enum { PIXELS = 11 * 7 };
+    for (uint32_t block = 0; block < 2; block++) {
+        float *values = mem_alloc_array(PIXELS, 7 * sizeof *values);
+        assert_non_null(values);
+        for (size_t i = 0; i < 7 * PIXELS; i++)
+            values[i] = (float)(i / PIXELS + 8 * block);
+        struct unit unit = {0, r.grid.cell_count, block};
+        assert_int_equal(film_add(f, unit, values), ERR_OK);
+        struct film *again;
+        memory.bytes = memory.at = 0;
+        assert_int_equal(film_save(f, memory_write, &memory), ERR_OK);
+        assert_int_equal(film_load(&r.grid, &r.blocks, memory_read, &memory, &again), ERR_OK);
+        film_free(f);
+        f = again;
+    }
+    float out[PIXELS];
+    film_aov(f, FILM_AOV_SUM, 3, out);
+    assert_true(out[0] == 3 + 11 && out[PIXELS - 1] == 14);
+    film_aov(f, FILM_AOV_MEAN, 6, out);
+    assert_true(out[5] == (6 + 14) / 4.0f);
+    film_aov(f, FILM_AOV_SAMPLES, 0, out);
+    assert_true(out[5] == 4);
+    /* Means (0 + 1 + 2) / 2 and (8 + 9 + 10) / 2: 12 apart, a third for each, halved. */
+    film_aov(f, FILM_AOV_ERROR, 0, out);
+    assert_true(fabsf(out[5] - 2) < 1e-6f);
+    /* A film of another width is no such film. */
+    struct job_spec narrow = r.spec;
+    narrow.aov = 0;
+    struct grid other;
+    assert_int_equal(grid_init(&other, &narrow), ERR_OK);
+    memory.at = 0;
+    assert_int_equal(film_load(&other, &r.blocks, memory_read, &memory, &plain), ERR_CORRUPT);
+    grid_release(&other);
+    film_free(f);
+    grid_release(&r.grid);
+}
+
 /* --- Memory and error --------------------------------------------------- */
 
 static void test_out_of_memory(void **state)
@@ -430,6 +479,7 @@ int main(void)
         cmocka_unit_test(test_reset),
         cmocka_unit_test(test_save_and_go_on),
         cmocka_unit_test(test_load_damaged),
+        cmocka_unit_test(test_aovs),
         cmocka_unit_test(test_out_of_memory),
         cmocka_unit_test(test_error_estimate),
     };

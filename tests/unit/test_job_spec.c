@@ -51,7 +51,8 @@ static void every_field_round_trips(void **state)
                          .filter_c = 1e-9,
                          .builder = JOB_BUILDER_MEDIAN,
                          .intersector = JOB_INTERSECTOR_MOLLER_TRUMBORE,
-                         .precision = JOB_PRECISION_FAST};
+                         .precision = JOB_PRECISION_FAST,
+                         .aov = (UINT32_C(1) << AOV_COUNT) - 1};
     struct job_spec back;
     struct diag_list problems;
     char *text = job_spec_to_json(&s);
@@ -60,6 +61,7 @@ static void every_field_round_trips(void **state)
     char *again = job_spec_to_json(&back);
     assert_string_equal(text, again);
     assert_true(back.seed == s.seed && back.spp == s.spp && back.filter_alpha == s.filter_alpha);
+    assert_int_equal(back.aov, s.aov);
     mem_free(text);
     mem_free(again);
     diag_release(&problems);
@@ -92,6 +94,9 @@ static void hostile_specs_are_refused(void **state)
         {"{\"crop\": [0.5, 0, 1, 1]}", "out-of-range", "$.crop"},
         {"{\"crop\": [600, 0, 1, 1]}", "out-of-range", "$.crop"},
         {"{\"filter_radius\": 0}", "out-of-range", "$.filter_radius"},
+        {"{\"aov\": \"depth,dpth\"}", "out-of-range", "$.aov"},
+        {"{\"aov\": 3}", "wrong-type", "$.aov"},
+        {"{\"tile\": 5000, \"width\": 5000, \"height\": 5000}", "out-of-range", "$.tile"},
         {"{\"integrator\": \"bdpt\"}", "unknown-name", "$.integrator"},
         {"{\"with\": 3}", "unknown-key", "$.with"},
         {"{\"spp\": 1, \"spp\": 1}", "duplicate-key", "$.spp"},

@@ -211,7 +211,8 @@ void integrate_path(const struct render_scene *scene, struct render_scratch *w)
     if (scene->spec.integrator == JOB_INTEGRATOR_DIRECT && depth_max > 2)
         depth_max = 2;
     for (uint32_t depth = 1; w->active_count > 0 && depth <= depth_max; depth++) {
-        wave_trace(scene, w);
+        if (depth > 1)
+            wave_trace(scene, w);
         uint32_t kept = 0;
         for (uint32_t i = 0; i < w->active_count; i++)
             kept += advance(scene, w, i, depth, depth_max, kept);
@@ -225,7 +226,6 @@ void integrate_path(const struct render_scene *scene, struct render_scratch *w)
 /* Ambient occlusion: 1 where a cosine-weighted direction escapes. */
 void integrate_ao(const struct render_scene *scene, struct render_scratch *w)
 {
-    wave_trace(scene, w);
     for (uint32_t i = 0; i < w->active_count; i++) {
         if (w->hits[i].object == SCENE_NONE)
             continue;

@@ -53,7 +53,8 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
 void integrate_seed(const struct render_scene *scene, struct render_scratch *w)
 {
     for (uint32_t depth = 1; w->active_count > 0 && depth <= scene->spec.max_depth; depth++) {
-        wave_trace(scene, w);
+        if (depth > 1)
+            wave_trace(scene, w);
         uint32_t kept = 0;
         for (uint32_t i = 0; i < w->active_count; i++)
             kept += advance(scene, w, i, depth, kept);

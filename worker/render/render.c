@@ -1,8 +1,10 @@
 #include "worker/render/render.h"
 
 #include <float.h>
+#include <string.h>
 #include <xmmintrin.h>
 
+#include "worker/render/first_hit.h"
 #include "worker/render/wave.h"
 
 /* Round to nearest, exceptions masked, no flush to zero. */
@@ -169,8 +171,10 @@ static void integrate(const struct render_scene *scene, struct render_scratch *w
 struct sums {
     struct cursor at;
     rgb pixels[WAVE_GROUP_PATHS];
-    uint64_t plane; /* pixels in a plane */
-    float *rgb;
+    double means[WAVE_GROUP_PATHS][AOV_MEAN_PLANES_MAX];
+    uint32_t centre_count, mean_count; /* AOV planes of either kind */
+    uint64_t plane;                    /* pixels in a plane */
+    float *out;
 };
 
 /* The place of a pixel in the unit's planes; false when it is not of the cell. */
@@ -202,10 +206,31 @@ static bool fits_film(rgb v, uint64_t count)
     return fabs(v.r) < limit && fabs(v.g) < limit && fabs(v.b) < limit;
 }
 
-/* Adds the paths of one sample of a group; behind the last sample, writes the pixels. */
-static void add_group(const struct render_scene *scene, const struct path *paths, uint32_t count,
-                      struct sums *sums, struct render_counters *counters)
+static void add_means(struct sums *sums, uint32_t pixel, const double *values, double weight)
 {
+    for (uint32_t k = 0; k < sums->mean_count; k++)
+        sums->means[pixel][k] += values[k] * weight;
+}
+
+/* Writes a pixel of the group, of which the block's last sample is in the sums. */
+static void put_pixel(struct sums *sums, uint32_t pixel, uint64_t place)
+{
+    const rgb *color = &sums->pixels[pixel];
+    sums->out[place] = (float)color->r;
+    sums->out[sums->plane + place] = (float)color->g;
+    sums->out[2 * sums->plane + place] = (float)color->b;
+    float *means = sums->out + (JOB_COLOR_PLANES + sums->centre_count) * sums->plane;
+    for (uint32_t k = 0; k < sums->mean_count; k++)
+        means[k * sums->plane + place] = (float)sums->means[pixel][k];
+}
+
+/* Adds the paths of one sample of a group, from `begin` on; behind the last sample, writes the
+ * pixels. */
+static void add_group(const struct render_scene *scene, const struct render_scratch *w,
+                      uint32_t begin, uint32_t count, struct sums *sums,
+                      struct render_counters *counters)
+{
+    const struct path *paths = w->paths + begin;
     bool last = sums->at.sample + 1 == sums->at.block.count;
     for (uint32_t i = 0; i < count; i++) {
         rgb value = rgb_scale(paths[i].radiance, paths[i].filter_weight);
@@ -213,21 +238,44 @@ static void add_group(const struct render_scene *scene, const struct path *paths
             sums->pixels[i] = rgb_add(sums->pixels[i], value);
         else
             count_nonfinite(scene, &paths[i], &sums->at, counters);
+        add_means(sums, i, w->means[begin + i], paths[i].filter_weight);
         uint64_t place;
         if (!last)
             continue;
-        if (place_of(&sums->at, paths[i].x, paths[i].y, &place)) {
-            sums->rgb[place] = (float)sums->pixels[i].r;
-            sums->rgb[sums->plane + place] = (float)sums->pixels[i].g;
-            sums->rgb[2 * sums->plane + place] = (float)sums->pixels[i].b;
-        }
+        if (place_of(&sums->at, paths[i].x, paths[i].y, &place))
+            put_pixel(sums, i, place);
         sums->pixels[i] = rgb_grey(0);
+        memset(sums->means[i], 0, sizeof sums->means[i]);
     }
     cursor_next(&sums->at);
 }
 
+/* The unit's AOVs of kind CENTRE: zeros in all blocks but the first. */
+static void put_centres(const struct render_scene *scene, const struct grid *grid, struct unit unit,
+                        struct render_scratch *w, const struct sums *sums)
+{
+    float *planes = sums->out + JOB_COLOR_PLANES * sums->plane;
+    if (unit.block != 0) {
+        memset(planes, 0, sums->centre_count * sums->plane * sizeof *planes);
+        return;
+    }
+    uint64_t place = 0;
+    for (uint32_t i = 0; i < unit.cell_count; i++) {
+        struct grid_rect rect = grid_cell(grid, unit.cell_begin + i);
+        first_hit_centres(scene, w, rect, planes, sums->plane, place);
+        place += (uint64_t)rect.width * rect.height;
+    }
+}
+
+static void add_wave(const struct render_scene *scene, const struct render_scratch *w,
+                     struct sums *sums, struct render_counters *counters)
+{
+    for (uint32_t g = 0; g < w->group_count; g++)
+        add_group(scene, w, w->groups[g], w->groups[g + 1] - w->groups[g], sums, counters);
+}
+
 enum err render_unit(const struct render_scene *scene, const struct grid *grid, struct unit unit,
-                     struct render_scratch *scratch, const atomic_bool *stop, float *rgb_sums,
+                     struct render_scratch *scratch, const atomic_bool *stop, float *out,
                      struct render_counters *counters)
 {
     struct job_blocks blocks = job_blocks_of(scene->spec.spp);
@@ -236,7 +284,9 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
     struct cursor cursor = cursor_of(scene, grid, unit, block);
     struct sums sums = {.at = cursor,
                         .plane = grid_pixels(grid, unit.cell_begin, unit.cell_count),
-                        .rgb = rgb_sums};
+                        .centre_count = aov_planes(scene->spec.aov, AOV_CENTRE),
+                        .mean_count = aov_planes(scene->spec.aov, AOV_MEAN),
+                        .out = out};
     *counters = (struct render_counters){.samples = sums.plane * block.count,
                                          .nonfinite_pixel = UINT64_MAX};
     scratch->ray_count = 0;
@@ -249,13 +299,14 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
             break;
         }
         fill_wave(scene, &cursor, scratch);
+        wave_trace(scene, scratch);
+        if (sums.mean_count > 0)
+            first_hit_means(scene, scratch);
         integrate(scene, scratch);
-        for (uint32_t g = 0; g < scratch->group_count; g++) {
-            uint32_t begin = scratch->groups[g];
-            add_group(scene, scratch->paths + begin, scratch->groups[g + 1] - begin, &sums,
-                      counters);
-        }
+        add_wave(scene, scratch, &sums, counters);
     }
+    if (e == ERR_OK && sums.centre_count > 0)
+        put_centres(scene, grid, unit, scratch, &sums);
     _mm_setcsr(mxcsr);
     counters->rays = scratch->ray_count;
     return e;

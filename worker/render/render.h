@@ -15,8 +15,6 @@
 
 struct render_scene; /* made by worker/scene (scene_build.h), read-only from then on */
 
-enum { RENDER_CHANNELS = 3 };
-
 struct render_counters {
     uint64_t samples, rays; /* rays: camera, bounce and shadow rays cast */
     uint64_t nonfinite;     /* samples beyond float, counted as zero radiance */
@@ -30,14 +28,14 @@ struct render_scratch; /* opaque */
 TL_NODISCARD enum err render_scratch_new(struct render_scratch **out);
 void render_scratch_free(struct render_scratch *s);
 
-/* Renders one unit. `grid` and the spec inside `scene` are of the same job. `rgb_sums` has
- * RENDER_CHANNELS planes of grid_pixels(unit) floats: sums of radiance over the block's
- * samples, made in double, rounded once. Sets the thread's MXCSR for its time (round to nearest,
- * no flush to zero). Returns ERR_CANCELLED soon after *stop (may be NULL) became true; then
- * `rgb_sums` is garbage. */
+/* Renders one unit. `grid` and the spec inside `scene` are of the same job. `out` has
+ * job_plane_count planes of grid_pixels(unit) floats: sums of radiance over the block's
+ * samples, made in double, rounded once, then the AOVs' (aov.h), which change no bit of it. Sets
+ * the thread's MXCSR for its time (round to nearest, no flush to zero). Returns ERR_CANCELLED soon
+ * after *stop (may be NULL) became true; then `out` is garbage. */
 TL_NODISCARD enum err render_unit(const struct render_scene *scene, const struct grid *grid,
                                   struct unit unit, struct render_scratch *scratch,
-                                  const atomic_bool *stop, float *rgb_sums,
+                                  const atomic_bool *stop, float *out,
                                   struct render_counters *counters);
 
 /* The bits of a start-up self-test of everything that decides bits (tracing, samplers, BSDFs,

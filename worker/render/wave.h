@@ -1,9 +1,9 @@
 /* worker/render/wave.h: the samples that one thread has in flight, and their memory.
  *
- * An integrator gets a wave of samples with their camera rays, follows them all at
- * once through the batch calls of accel.h, and leaves the radiance of each in
- * path.radiance. A wave consists of whole groups; the order of work within it never
- * reaches the result: a path's numbers depend on its group alone. One thread.
+ * An integrator gets a wave of samples with their camera rays and what these hit, follows them all
+ * at once through the batch calls of accel.h, and leaves the radiance of each in path.radiance. A
+ * wave consists of whole groups; the order of work within it never reaches the result: a path's
+ * numbers depend on its group alone. One thread.
  *
  * A group is one sample of each pixel of a square of the full picture, aligned to it
  * and cut only by its border, whatever the cells and the crop; its paths may share
@@ -58,6 +58,9 @@ struct render_scratch {
     uint32_t shadow_count;
 
     struct reuse_connections connections;
+
+    /* AOVs of kind MEAN of the path of the same number; only where some are asked for. */
+    double means[WAVE_PATHS][AOV_MEAN_PLANES_MAX];
 
     uint64_t ray_count; /* cast so far in this unit */
 };

@@ -143,12 +143,18 @@ enum err scene_build_materials(struct render_scene *rs, const struct scene *scen
         rs->material_count = scene->material_count + 1;
         for (size_t i = 0; i < scene->material_count; i++)
             make_material(scene, &scene->materials[i], &rs->materials[i]);
+        for (size_t i = 0; i < scene->material_count; i++)
+            rs->materials[i].needs_uv |= aov_has(rs->spec.aov, AOV_UV);
         for (size_t i = 0; i < scene->object_count; i++) {
             uint32_t material = scene->objects[i].material;
             rs->has_alpha |= material != SCENE_NONE && rs->materials[material].has_alpha;
         }
-        rs->materials[scene->material_count] = (struct material){
-            .type = SCENE_MATERIAL_BLACK, .texture = SCENE_NONE, .is_delta = true};
+        rs->materials[scene->material_count] =
+            (struct material){.type = SCENE_MATERIAL_BLACK,
+                              .texture = SCENE_NONE,
+                              .normal_texture = SCENE_NONE,
+                              .needs_uv = aov_has(rs->spec.aov, AOV_UV),
+                              .is_delta = true};
     }
     mem_free(pixels);
     return e;
