@@ -3,7 +3,7 @@
 #
 #   ./test.sh            install what is missing; build release, asan and clang; run every test
 #   ./test.sh LABEL...   run only these ctest labels of the release build (unit prop render
-#                        numerics golden fuzz sim e2e lint)
+#                        numerics golden fuzz sim e2e web lint)
 #
 # Real models are found through TILERY_TEST_DATA (default ../shared/data); tests that need them
 # skip by name where they are absent. TILERY_NO_SKIP=1 (set by .ci/run) turns every skip into a

@@ -25,6 +25,8 @@ enum {
 static const struct route routes[] = {
     {"GET", "/", http_get_page, 0, true},
     {"GET", "/app.js", http_get_script, 0, true},
+    {"GET", "/viewer.js", http_get_viewer, 0, true},
+    {"GET", "/icon.svg", http_get_icon, 0, true},
     {"GET", "/style.css", http_get_style, 0, true},
     {"GET", "/docs/errors", http_get_errors, 0, true},
     {"GET", "/healthz", http_get_health, 0, true},

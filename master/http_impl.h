@@ -140,6 +140,8 @@ void http_get_metrics(struct request *r);
 /* http_page.c */
 void http_get_page(struct request *r);
 void http_get_script(struct request *r);
+void http_get_viewer(struct request *r);
+void http_get_icon(struct request *r);
 void http_get_style(struct request *r);
 void http_get_openapi(struct request *r);
 void http_get_errors(struct request *r);

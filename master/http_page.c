@@ -17,6 +17,8 @@
 
 EMBED(web_index, TILERY_WEB_DIR "/index.html");
 EMBED(web_script, TILERY_WEB_DIR "/app.js");
+EMBED(web_viewer, TILERY_WEB_DIR "/viewer.js");
+EMBED(web_icon, TILERY_WEB_DIR "/icon.svg");
 EMBED(web_style, TILERY_WEB_DIR "/style.css");
 EMBED(web_openapi, TILERY_WEB_DIR "/openapi.json");
 EMBED(docs_errors, TILERY_DOCS_DIR "/ERRORS.md");
@@ -38,6 +40,16 @@ void http_get_page(struct request *r)
 void http_get_script(struct request *r)
 {
     reply_file(r, "text/javascript; charset=utf-8", web_script, web_script_end);
+}
+
+void http_get_viewer(struct request *r)
+{
+    reply_file(r, "text/javascript; charset=utf-8", web_viewer, web_viewer_end);
+}
+
+void http_get_icon(struct request *r)
+{
+    reply_file(r, "image/svg+xml", web_icon, web_icon_end);
 }
 
 void http_get_style(struct request *r)

@@ -8,7 +8,7 @@ packages_build="gcc libc6-dev cmake ninja-build pkg-config ca-certificates git
     nanopb libnanopb-dev protobuf-compiler python3-protobuf uthash-dev"
 packages_test="libcmocka-dev clang-14 libclang-rt-14-dev clang-format-14 libembree-dev
     python3 python3-pytest python3-numpy python3-requests python3-jsonschema python3-venv
-    binutils procps curl patch"
+    binutils procps curl patch chromium fonts-dejavu-core"
 packages_docker="docker.io docker-compose debootstrap"
 
 install_packages() {

@@ -6,7 +6,7 @@ const api = "/api/v1";
 const pictureMs = 1000; /* between two looks at a picture that is being rendered */
 const jobs = new Map(); /* id -> item of the list */
 let selected = location.hash.slice(1) || null;
-let next = null, lastEvent = 0, stream = null, pictureAsked = 0, pictureUrl = null;
+let next = null, lastEvent = 0, stream = null, pictureAsked = 0;
 let pictureRev = null, pictureBusy = false, reportBusy = false, reportDue = false;
 
 const $ = (id) => document.getElementById(id);
@@ -47,21 +47,27 @@ function jobRow(job) {
   link.href = "#" + job.id;
   const first = document.createElement("td");
   first.append(link);
-  row.append(first, text("td", job.name), text("td", job.state),
+  row.append(first, text("td", job.name), text("td", job.state, "state " + job.state),
     text("td", percent(job.done), "number"), text("td", left(job.left_s), "number"),
     text("td", job.workers || "-", "number"), text("td", job.note || ""));
   row.setAttribute("aria-current", String(job.id === selected));
   return row;
 }
 
-function showJobs() {
+/* Newest first, as far as the filter lets through. */
+function listed() {
   const wanted = $("filter").value.toLowerCase();
-  const list = [...jobs.values()]
+  return [...jobs.values()]
     .filter((j) => !wanted || (j.id + " " + j.name + " " + j.state).toLowerCase().includes(wanted))
     .sort((a, b) => Number(b.id.slice(1)) - Number(a.id.slice(1)));
+}
+
+function showJobs() {
+  const list = listed();
   $("jobs").replaceChildren(...list.map(jobRow));
   $("no-jobs").hidden = jobs.size > 0;
-  $("jobs-table").hidden = jobs.size === 0;
+  $("some-jobs").hidden = jobs.size === 0;
+  $("no-match").hidden = list.length > 0;
   $("more").hidden = !next;
 }
 
@@ -102,8 +108,10 @@ function showReport(r) {
 function showJob(r) {
   $("job").hidden = false;
   $("job-title").textContent = r.id + " " + r.name;
-  $("job-line").textContent = r.state + ", " + percent(r.done) + " done"
+  $("job-line").textContent = r.state + (r.state === "done" ? "" : ", " + percent(r.done) + " done")
     + (r.left_s ? ", " + left(r.left_s) + " left" : "") + (r.note ? ": " + r.note : "");
+  $("job-progress").value = r.done || 0;
+  $("job-progress").hidden = r.state === "done";
   const can = { paused: ["queued", "rendering"], queued: ["paused", "failed", "cancelled"],
     cancelled: ["queued", "rendering", "paused"] };
   for (const button of $("job-actions").querySelectorAll("button")) {
@@ -116,6 +124,8 @@ function showJob(r) {
     $(kind).href = api + "/jobs/" + r.id + "/picture." + kind;
     $(kind).download = (r.name || r.id) + "." + kind;
   }
+  $("shell-command").textContent = "TILERY_MASTER=" + location.origin + " tilery "
+    + (r.state === "done" ? "get " + r.id + " -o " + r.id + ".exr" : (can.cancelled.includes(r.state) ? "watch " : "status ") + r.id);
   showReport(r);
 }
 
@@ -129,11 +139,11 @@ async function loadPicture(r) {
     const answer = await call("/jobs/" + r.id + "/picture.png?partial=1");
     const url = URL.createObjectURL(await answer.blob());
     if (r.id === selected) {
-      $("picture").src = url;
-      $("picture").alt = "picture of " + r.id + ", " + percent(r.done) + " done";
-      if (pictureUrl) URL.revokeObjectURL(pictureUrl);
-      pictureUrl = url;
+      const crop = r.spec.crop || [0, 0];
+      viewer.show(url, "picture of " + r.id + ", " + percent(r.done) + " done", crop);
       pictureRev = key;
+    } else {
+      URL.revokeObjectURL(url);
     }
   } finally {
     pictureBusy = false;
@@ -163,7 +173,7 @@ function select(id) {
   selected = id;
   pictureRev = null;
   pictureAsked = 0;
-  $("picture").removeAttribute("src");
+  viewer.clear();
   $("problem").textContent = "";
   showJobs();
   loadJob();
@@ -180,7 +190,8 @@ function workerRow(w) {
       .catch((e) => { $("problem").textContent = e.message; }));
     last.append(button);
   }
-  row.append(text("td", w.id), text("td", w.name), text("td", w.state), text("td", w.job || "-"),
+  row.append(text("td", w.id), text("td", w.name), text("td", w.state, "state " + w.state.replace(" ", "-")),
+    text("td", w.job || "-"),
     text("td", w.threads, "number"), text("td", rays(w.speed_rays_s), "number"),
     text("td", w.units, "number"), text("td", w.lost, "number"), text("td", w.note), last);
   return row;
@@ -191,6 +202,8 @@ async function loadFarm() {
   $("workers").replaceChildren(...workers.items.map(workerRow));
   $("no-workers").hidden = farm.workers > 0;
   $("worker-command").textContent = "tilery-worker --master " + farm.listen;
+  $("commands").textContent = "export TILERY_MASTER=" + location.origin + "\n"
+    + "tilery submit scene.json\n" + "tilery watch j1";
   $("workers-table").hidden = workers.items.length === 0;
   $("farm").textContent = farm.jobs.rendering + " rendering, " + farm.jobs.queued + " queued, "
     + farm.workers + " workers, " + farm.threads + " threads, " + rays(farm.rays_s);
@@ -207,7 +220,9 @@ function farmSoon() {
 
 function online(is) {
   document.body.classList.toggle("offline", !is);
-  if (!is) $("farm").textContent = "no answer since " + new Date(lastEvent).toLocaleTimeString();
+  $("offline").hidden = is;
+  if (!is) $("offline").textContent = "No answer since " + new Date(lastEvent).toLocaleTimeString()
+    + "; trying again. What is shown is as of then.";
 }
 
 function onJob(data) {
@@ -274,6 +289,24 @@ $("job-actions").addEventListener("click", async (event) => {
   event.target.disabled = false;
   loadJob();
 });
+/* Keys do nothing while something is typed, nor with a modifier. */
+function step(by) {
+  const list = listed(), at = list.findIndex((j) => j.id === selected);
+  const to = list[Math.min(list.length - 1, Math.max(0, at + by))];
+  if (to) location.hash = to.id;
+}
+const keys = { j: () => step(1), k: () => step(-1), "/": () => $("filter").focus(), f: () => viewer.fit(),
+  1: () => viewer.zoomTo(1), "+": () => viewer.zoomBy(1.5), "-": () => viewer.zoomBy(1 / 1.5),
+  "?": () => $("help").showModal() };
+document.addEventListener("keydown", (event) => {
+  const typing = event.target.matches("input, textarea, select") && event.target.type !== "checkbox";
+  if (typing && event.key === "Escape") event.target.blur();
+  if (typing || event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
+  if (!Object.hasOwn(keys, event.key) || (!$("keys-on").checked && event.key !== "?")) return;
+  event.preventDefault();
+  keys[event.key]();
+});
+$("help-button").addEventListener("click", () => $("help").showModal());
 $("filter").addEventListener("input", showJobs);
 $("more").addEventListener("click", () => loadJobs(next).catch(() => {}));
 window.addEventListener("hashchange", () => select(location.hash.slice(1)));

@@ -314,8 +314,9 @@ def test_headers_of_the_page(call):
     assert "unsafe" not in policy and "frame-ancestors 'none'" in policy
     assert headers["X-Content-Type-Options"] == "nosniff"
     assert headers["Cross-Origin-Opener-Policy"] == "same-origin"
-    script = call("GET", "/app.js")[1]
-    assert b"innerHTML" not in script and b"textContent" in script
+    for path in ("/app.js", "/viewer.js"):
+        script = call("GET", path)[1]
+        assert b"innerHTML" not in script and b"textContent" in script
     assert b"<script>" not in content and b"style=" not in content
     assert call("GET", "/style.css")[2]["Content-Type"].startswith("text/css")
 
@@ -374,8 +375,8 @@ def test_routes_of_the_program_are_described():
     assert len(routes) > 15
     described = {(m.upper(), re.sub(r"\{\w+\}", "{}", p))
                  for p, o in OPENAPI["paths"].items() for m in o}
-    page = {("GET", "/"), ("GET", "/app.js"), ("GET", "/style.css"),
-            ("GET", "/docs/errors")}
+    page = {("GET", "/"), ("GET", "/app.js"), ("GET", "/viewer.js"), ("GET", "/icon.svg"),
+            ("GET", "/style.css"), ("GET", "/docs/errors")}
     assert set(routes) - page == described
 
 
