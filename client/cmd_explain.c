@@ -1,4 +1,5 @@
-/* client/cmd_explain.c: what a scene asks for, measured on the scene and its package. */
+/* client/cmd_explain.c: what a scene asks for, what is left out, and what it will take: the plan
+ * (scene_plan.h) and the package made by it, counted. */
 #include <string.h>
 
 #include "client/command.h"
@@ -6,182 +7,145 @@
 #include "client/load.h"
 #include "common/json_put.h"
 #include "common/mem.h"
+#include "common/scene_plan.h"
 
-enum feature {
-    FEATURE_DIFFUSE,
-    FEATURE_MIRROR,
-    FEATURE_REFRACTION,
-    FEATURE_GLASS,
-    FEATURE_CONDUCTOR,
-    FEATURE_ROUGH_DIELECTRIC,
-    FEATURE_PRINCIPLED,
-    FEATURE_AREA_LIGHTS,
-    FEATURE_LIGHTS,
-    FEATURE_ENVIRONMENT,
-    FEATURE_IMAGES,
-    FEATURE_NORMALS,
-    FEATURE_UVS,
-    FEATURE_SPHERES,
-    FEATURE_COUNT
-};
-
-static const char *const feature_names[FEATURE_COUNT] = {"diffuse",
-                                                         "mirror",
-                                                         "refraction",
-                                                         "glass",
-                                                         "rough conductor",
-                                                         "rough dielectric",
-                                                         "principled",
-                                                         "area lights",
-                                                         "point-like lights",
-                                                         "environment",
-                                                         "image textures",
-                                                         "vertex normals",
-                                                         "texture coordinates",
-                                                         "spheres"};
+enum { CHUNKS_SHOWN = 12 };
 
 struct facts {
+    const struct load *load;
+    struct scene_plan plan;
+    struct scene_plan_memory memory;
     uint64_t triangles, triangles_drawn, vertices, spheres, lights;
-    uint64_t unused_materials, unused_textures, unused_meshes;
-    uint64_t package_bytes, mesh_bytes, image_bytes, wire_bytes;
-    size_t chunks;
-    bool used[FEATURE_COUNT];
+    uint64_t plain_bytes, left_bytes, sent_bytes;
+    uint64_t *chunk_sent; /* of each chunk, as one zstd frame */
 };
 
-static void take_material(struct facts *f, const struct scene_material *m)
-{
-    static const enum feature of_type[] = {
-        [SCENE_MATERIAL_DIFFUSE] = FEATURE_DIFFUSE,
-        [SCENE_MATERIAL_MIRROR] = FEATURE_MIRROR,
-        [SCENE_MATERIAL_REFRACTION] = FEATURE_REFRACTION,
-        [SCENE_MATERIAL_GLASS] = FEATURE_GLASS,
-        [SCENE_MATERIAL_ROUGH_CONDUCTOR] = FEATURE_CONDUCTOR,
-        [SCENE_MATERIAL_ROUGH_DIELECTRIC] = FEATURE_ROUGH_DIELECTRIC,
-        [SCENE_MATERIAL_PRINCIPLED] = FEATURE_PRINCIPLED,
-        [SCENE_MATERIAL_BLACK] = FEATURE_COUNT,
-    };
-    if (of_type[m->type] < FEATURE_COUNT)
-        f->used[of_type[m->type]] = true;
-}
-
-static void take_objects(struct facts *f, const struct scene *s)
-{
-    for (size_t i = 0; i < s->object_count; i++) {
-        const struct scene_object *o = &s->objects[i];
-        if (o->type == SCENE_OBJECT_SPHERE) {
-            f->spheres++;
-            f->used[FEATURE_SPHERES] = true;
-        } else {
-            f->triangles_drawn += s->meshes[o->mesh].triangle_count;
-        }
-        f->lights += o->emits;
-        f->used[FEATURE_AREA_LIGHTS] |= o->emits;
-        if (o->material != SCENE_NONE)
-            take_material(f, &s->materials[o->material]);
-    }
-}
-
-static void take_scene(struct facts *f, const struct scene *s)
+static void count_scene(struct facts *f, const struct scene *s)
 {
     for (size_t i = 0; i < s->mesh_count; i++) {
         f->triangles += s->meshes[i].triangle_count;
         f->vertices += s->meshes[i].vertex_count;
-        f->used[FEATURE_NORMALS] |= s->meshes[i].normals != NULL;
-        f->used[FEATURE_UVS] |= s->meshes[i].uvs != NULL;
     }
-    take_objects(f, s);
-    f->lights += s->light_count;
-    f->used[FEATURE_LIGHTS] = s->light_count > 0;
-    f->used[FEATURE_ENVIRONMENT] = s->envmap.texture != SCENE_NONE;
-}
-
-/* What no object refers to: the package leaves it out. False when out of memory. */
-static bool take_unused(struct facts *f, const struct scene *s)
-{
-    bool *seen = mem_calloc(s->material_count + s->mesh_count + 1, sizeof *seen);
-    if (!seen)
-        return false;
-    bool *mesh_seen = seen + s->material_count;
     for (size_t i = 0; i < s->object_count; i++) {
-        if (s->objects[i].material != SCENE_NONE)
-            seen[s->objects[i].material] = true;
-        if (s->objects[i].type == SCENE_OBJECT_MESH)
-            mesh_seen[s->objects[i].mesh] = true;
+        const struct scene_object *o = &s->objects[i];
+        f->lights += o->emits;
+        if (o->type == SCENE_OBJECT_SPHERE)
+            f->spheres++;
+        else if (o->type == SCENE_OBJECT_MESH)
+            f->triangles_drawn += s->meshes[o->mesh].triangle_count;
     }
-    for (size_t i = 0; i < s->material_count; i++)
-        f->unused_materials += !seen[i];
-    for (size_t i = 0; i < s->mesh_count; i++)
-        f->unused_meshes += !mesh_seen[i];
-    mem_free(seen);
-    return true;
+    f->lights += s->light_count;
 }
 
-static bool take_package(struct facts *f, const struct package *p)
+/* Compresses each chunk once, as the client does before it sends them. */
+static bool count_package(struct facts *f, const struct package *p)
 {
     bool ok = true;
-    f->chunks = p->count;
-    for (size_t i = 0; ok && i < p->count; i++) {
+    f->chunk_sent = mem_calloc(p->count, sizeof *f->chunk_sent);
+    for (size_t i = 0; f->chunk_sent && ok && i < p->count; i++) {
         struct buf frame;
         buf_init(&frame);
         ok = chunk_compress(p->chunks[i].data, p->chunks[i].bytes, &frame) == ERR_OK;
-        f->wire_bytes += frame.bytes;
-        f->package_bytes += p->chunks[i].bytes;
-        f->mesh_bytes += p->chunks[i].kind == PACKAGE_MESH ? p->chunks[i].bytes : 0;
-        f->image_bytes += p->chunks[i].kind == PACKAGE_IMAGE ? p->chunks[i].bytes : 0;
+        f->chunk_sent[i] = frame.bytes;
+        f->sent_bytes += frame.bytes;
+        f->plain_bytes += p->chunks[i].bytes;
         buf_release(&frame);
     }
-    f->used[FEATURE_IMAGES] = f->image_bytes > 0;
-    return ok;
+    for (int i = 0; i < PACKAGE_LEFT_COUNT; i++)
+        f->left_bytes += p->left[i].bytes;
+    return ok && f->chunk_sent;
 }
 
-static void put_features(const struct facts *f, bool used, const char *separator, bool quoted,
-                         struct buf *out)
+static const char *kind_name(enum package_kind kind)
+{
+    return kind == PACKAGE_ROOT ? "tables" : kind == PACKAGE_MESH ? "mesh" : "picture";
+}
+
+/* --- JSON ---------------------------------------------------------------- */
+
+static void put_needs_json(const struct facts *f, bool needed, struct buf *out)
 {
     bool first = true;
-    for (int i = 0; i < FEATURE_COUNT; i++) {
-        if (f->used[i] != used)
+    for (int i = 0; i < SCENE_FEATURE_COUNT; i++) {
+        if (scene_plan_has(&f->plan, (enum scene_feature)i) != needed)
             continue;
-        buf_printf(out, "%s", first ? "" : separator);
-        if (quoted)
-            json_put_text(out, feature_names[i]);
-        else
-            buf_printf(out, "%s", feature_names[i]);
+        buf_printf(out, "%s", first ? "" : ",");
+        json_put_text(out, scene_feature_names[i]);
         first = false;
     }
-    if (first && !quoted)
-        buf_printf(out, "nothing");
 }
 
-static void put_json(const struct facts *f, const struct load *load, struct buf *out)
+static void put_left_json(const struct package *p, struct buf *out)
 {
+    bool first = true;
+    for (int i = 0; i < PACKAGE_LEFT_COUNT; i++) {
+        const struct package_left *left = &p->left[i];
+        if (left->count == 0)
+            continue;
+        buf_printf(out, "%s{\"what\":", first ? "" : ",");
+        json_put_text(out, package_left_what[i]);
+        buf_printf(out, ",\"why\":");
+        json_put_text(out, package_left_why[i]);
+        buf_printf(out, ",\"count\":%llu,\"bytes\":%llu}", (unsigned long long)left->count,
+                   (unsigned long long)left->bytes);
+        first = false;
+    }
+}
+
+static void put_chunks_json(const struct facts *f, const struct package *p, struct buf *out)
+{
+    for (size_t i = 0; i < p->count; i++) {
+        char hex[DIGEST_HEX_BYTES];
+        digest_to_hex(&p->chunks[i].name, hex);
+        buf_printf(out, "%s{\"kind\":\"%s\",\"sha256\":\"%s\",\"bytes\":%zu,\"sent\":%llu}",
+                   i ? "," : "", kind_name(p->chunks[i].kind), hex, p->chunks[i].bytes,
+                   (unsigned long long)f->chunk_sent[i]);
+    }
+}
+
+static void put_json(const struct facts *f, struct buf *out)
+{
+    const struct load *load = f->load;
+    buf_printf(out, "{\"needs\":[");
+    put_needs_json(f, true, out);
+    buf_printf(out, "],\"needs_not\":[");
+    put_needs_json(f, false, out);
+    buf_printf(out, "],\"left_out\":[");
+    put_left_json(&load->package, out);
     buf_printf(out,
-               "{\"triangles\":%llu,\"triangles_instanced\":%llu,\"vertices\":%llu,"
-               "\"spheres\":%llu,\"lights\":%llu,\"bytes\":{\"package\":%llu,\"meshes\":%llu,"
-               "\"images\":%llu,\"sent\":%llu},\"chunks\":%zu,\"uses\":[",
+               "],\"kernel\":\"%s\",\"bytes\":{\"source\":%llu,\"package\":%llu,\"worker\":%llu,"
+               "\"plain\":%llu,\"left_out\":%llu,\"tree\":%llu,\"geometry\":%llu,"
+               "\"images\":%llu},",
+               job_integrator_names[load->spec.integrator],
+               (unsigned long long)load->scene.source_bytes, (unsigned long long)f->sent_bytes,
+               (unsigned long long)f->memory.total, (unsigned long long)f->plain_bytes,
+               (unsigned long long)f->left_bytes, (unsigned long long)f->memory.tree,
+               (unsigned long long)f->memory.geometry, (unsigned long long)f->memory.images);
+    buf_printf(out,
+               "\"triangles\":%llu,\"triangles_instanced\":%llu,\"vertices\":%llu,"
+               "\"spheres\":%llu,\"lights\":%llu,\"chunks\":[",
                (unsigned long long)f->triangles, (unsigned long long)f->triangles_drawn,
                (unsigned long long)f->vertices, (unsigned long long)f->spheres,
-               (unsigned long long)f->lights, (unsigned long long)f->package_bytes,
-               (unsigned long long)f->mesh_bytes, (unsigned long long)f->image_bytes,
-               (unsigned long long)f->wire_bytes, f->chunks);
-    put_features(f, true, ",", true, out);
-    buf_printf(out, "],\"uses_not\":[");
-    put_features(f, false, ",", true, out);
-    buf_printf(out,
-               "],\"left_out\":{\"materials\":%llu,\"meshes\":%llu},\"cost_core_s\":null,"
-               "\"spec\":%s}\n",
-               (unsigned long long)f->unused_materials, (unsigned long long)f->unused_meshes,
-               load->spec_json);
+               (unsigned long long)f->lights);
+    put_chunks_json(f, &load->package, out);
+    buf_printf(out, "],\"predicted\":null,\"spec\":%s}\n", load->spec_json);
 }
 
-static void put_text(const struct facts *f, const struct load *load, struct buf *out)
+/* --- Text ---------------------------------------------------------------- */
+
+static void put_picture(const struct job_spec *s, struct buf *out)
 {
-    const struct job_spec *s = &load->spec;
-    char a[HUMAN_BYTES], b[HUMAN_BYTES], c[HUMAN_BYTES];
+    char a[HUMAN_BYTES];
     human_count((double)s->crop.width * s->crop.height * (double)s->spp, a);
     buf_printf(out, "picture   %ux%u, %llu spp: %s samples\n", s->crop.width, s->crop.height,
                (unsigned long long)s->spp, a);
     buf_printf(out, "light     %s, depth %u, %s samples\n", job_integrator_names[s->integrator],
                s->max_depth, job_sampler_names[s->sampler]);
+}
+
+static void put_geometry(const struct facts *f, struct buf *out)
+{
+    char a[HUMAN_BYTES], b[HUMAN_BYTES];
     human_count((double)f->triangles, a);
     human_count((double)f->vertices, b);
     buf_printf(out, "geometry  %s triangles, %s vertices, %llu spheres, %llu lights\n", a, b,
@@ -190,38 +154,147 @@ static void put_text(const struct facts *f, const struct load *load, struct buf 
         human_count((double)f->triangles_drawn, a);
         buf_printf(out, "          %s triangles with every instance counted\n", a);
     }
-    human_bytes((double)f->package_bytes, a);
-    human_bytes((double)f->image_bytes, b);
-    human_bytes((double)f->wire_bytes, c);
-    buf_printf(out, "package   %s in %zu chunks (images %s); %s to send\n", a, f->chunks, b, c);
-    buf_printf(out, "uses      ");
-    put_features(f, true, ", ", false, out);
-    buf_printf(out, "\nuses not  ");
-    put_features(f, false, ", ", false, out);
-    buf_printf(out, "\nleft out  %llu unused materials, %llu unused meshes\n",
-               (unsigned long long)f->unused_materials, (unsigned long long)f->unused_meshes);
-    buf_printf(out, "cost      not estimated yet\n");
+}
+
+/* The features, wrapped. */
+static void put_needs(const struct facts *f, struct buf *out)
+{
+    enum { COLUMN_MAX = 78 };
+    size_t column = 10;
+    bool first = true;
+    buf_printf(out, "needs     ");
+    for (int i = 0; i < SCENE_FEATURE_COUNT; i++) {
+        const char *name = scene_feature_names[i];
+        if (!scene_plan_has(&f->plan, (enum scene_feature)i))
+            continue;
+        if (!first && column + strlen(name) + 2 > COLUMN_MAX) {
+            buf_printf(out, ",\n          ");
+            column = 10;
+            first = true;
+        }
+        buf_printf(out, "%s%s", first ? "" : ", ", name);
+        column += strlen(name) + (first ? 0 : 2);
+        first = false;
+    }
+    buf_printf(out, "%s\n", f->plan.features ? "" : "nothing");
+}
+
+static void put_left(const struct facts *f, const struct package *p, struct buf *out)
+{
+    char a[HUMAN_BYTES], b[HUMAN_BYTES];
+    const char *head = "left out";
+    for (int i = 0; i < PACKAGE_LEFT_COUNT; i++) {
+        if (p->left[i].count == 0)
+            continue;
+        human_bytes((double)p->left[i].bytes, a);
+        human_count((double)p->left[i].count, b);
+        buf_printf(out, "%-10s%8s  %s %s: %s\n", head, a, b, package_left_what[i],
+                   package_left_why[i]);
+        head = "";
+    }
+    if (f->left_bytes == 0) {
+        buf_printf(out, "%-10snothing\n", head);
+        return;
+    }
+    uint64_t whole = f->plain_bytes + f->left_bytes;
+    human_bytes((double)f->left_bytes, a);
+    human_bytes((double)whole, b);
+    buf_printf(out, "saves     %s of %s, %.0f %%\n", a, b,
+               100.0 * (double)f->left_bytes / (double)whole);
+}
+
+/* The place of the next largest chunk behind `before` in (sent, place) order. */
+static size_t next_largest(const struct facts *f, size_t count, size_t before)
+{
+    size_t best = count;
+    for (size_t i = 0; i < count; i++) {
+        bool behind = before == count || f->chunk_sent[i] < f->chunk_sent[before] ||
+                      (f->chunk_sent[i] == f->chunk_sent[before] && i > before);
+        if (behind && (best == count || f->chunk_sent[i] > f->chunk_sent[best]))
+            best = i;
+    }
+    return best;
+}
+
+static void put_chunks(const struct facts *f, const struct package *p, struct buf *out)
+{
+    char a[HUMAN_BYTES], b[HUMAN_BYTES], c[HUMAN_BYTES];
+    human_bytes((double)f->load->scene.source_bytes, a);
+    human_bytes((double)f->plain_bytes, b);
+    human_bytes((double)f->sent_bytes, c);
+    buf_printf(out, "sends     %s once to each worker: %s in %zu chunk%s", c, b, p->count,
+               p->count == 1 ? "" : "s");
+    if (f->load->scene.source_bytes > 0)
+        buf_printf(out, "; source files %s", a);
+    buf_printf(out, "\n");
+    size_t at = p->count;
+    for (size_t shown = 0; shown < p->count && shown < CHUNKS_SHOWN; shown++) {
+        char hex[DIGEST_HEX_BYTES];
+        at = next_largest(f, p->count, at);
+        digest_to_hex(&p->chunks[at].name, hex);
+        human_bytes((double)p->chunks[at].bytes, a);
+        human_bytes((double)f->chunk_sent[at], b);
+        buf_printf(out, "          %-8s %.8s  %9s, sent as %s\n", kind_name(p->chunks[at].kind),
+                   hex, a, b);
+    }
+    if (p->count > CHUNKS_SHOWN)
+        buf_printf(out, "          and %zu smaller ones\n", p->count - CHUNKS_SHOWN);
+}
+
+static void put_memory(const struct facts *f, struct buf *out)
+{
+    char a[HUMAN_BYTES], b[HUMAN_BYTES], c[HUMAN_BYTES], d[HUMAN_BYTES];
+    human_bytes((double)f->memory.total, a);
+    human_bytes((double)f->memory.tree, b);
+    human_bytes((double)f->memory.geometry, c);
+    human_bytes((double)f->memory.images, d);
+    buf_printf(out, "memory    about %s in each worker: tree %s, vertices %s, pictures %s\n", a, b,
+               c, d);
+}
+
+static void put_text(const struct facts *f, struct buf *out)
+{
+    const struct load *load = f->load;
+    put_picture(&load->spec, out);
+    put_geometry(f, out);
+    put_needs(f, out);
+    put_left(f, &load->package, out);
+    put_chunks(f, &load->package, out);
+    put_memory(f, out);
+    buf_printf(out, "kernel    %s\n", job_integrator_names[load->spec.integrator]);
+    buf_printf(out, "cost      not predicted yet\n");
+}
+
+static int explain(struct cli *cli, const struct load *load)
+{
+    struct facts facts = {.load = load};
+    struct buf out;
+    buf_init(&out);
+    bool ok = scene_plan_make(&load->scene, load->spec.aov, &facts.plan) == ERR_OK;
+    if (ok) {
+        count_scene(&facts, &load->scene);
+        facts.memory = scene_plan_memory(&load->scene, &facts.plan);
+        ok = count_package(&facts, &load->package);
+    }
+    if (ok && cli->json)
+        put_json(&facts, &out);
+    else if (ok)
+        put_text(&facts, &out);
+    out.failed |= !ok;
+    int status = cli_put_buf(&out) ? EXIT_DONE : EXIT_MACHINE;
+    buf_release(&out);
+    mem_free(facts.chunk_sent);
+    scene_plan_release(&facts.plan);
+    return status;
 }
 
 int command_explain(struct cli *cli)
 {
     struct load load;
-    struct facts facts = {0};
-    struct buf out;
     load_scene(&load, &cli->line, true);
     int status = load_explain(&load, NULL);
-    if (status == EXIT_DONE) {
-        buf_init(&out);
-        take_scene(&facts, &load.scene);
-        bool ok = take_unused(&facts, &load.scene) && take_package(&facts, &load.package);
-        if (cli->json)
-            put_json(&facts, &load, &out);
-        else
-            put_text(&facts, &load, &out);
-        out.failed |= !ok;
-        status = cli_put_buf(&out) ? EXIT_DONE : EXIT_MACHINE;
-        buf_release(&out);
-    }
+    if (status == EXIT_DONE)
+        status = explain(cli, &load);
     load_release(&load);
     return status;
 }

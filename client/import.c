@@ -124,6 +124,7 @@ enum err import_run(struct import *im, struct job_spec *spec)
     enum err e = file_read(im->path, MODEL_BYTES_MAX, &data, &bytes);
     if (e != ERR_OK)
         return refuse_file(im, e);
+    im->source_bytes += bytes;
     e = read_kind(im, data, bytes);
     mem_free(data);
     if (e == ERR_OK)
@@ -144,6 +145,7 @@ enum err import_model(const char *path, struct scene *scene, struct job_spec *sp
     enum err e = import_run(&im, &made);
     if (e == ERR_OK) {
         *scene = im.scene;
+        scene->source_bytes = im.source_bytes;
         *spec = made;
         scene_init(&im.scene);
     }

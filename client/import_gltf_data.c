@@ -106,8 +106,10 @@ static void read_buffer(struct gltf *t, uint32_t index, struct gltf_buffer *b)
     } else {
         char *path = gltf_uri_path(uri->text);
         char *joined = path ? file_join(t->im->folder, path) : NULL;
-        if (joined && file_read(joined, BUFFER_BYTES_MAX, &data, &b->bytes) == ERR_OK)
+        if (joined && file_read(joined, BUFFER_BYTES_MAX, &data, &b->bytes) == ERR_OK) {
             b->owned = data;
+            t->im->source_bytes += b->bytes;
+        }
         mem_free(joined);
         mem_free(path);
     }

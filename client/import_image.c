@@ -92,6 +92,7 @@ enum err import_image_file(struct import *im, const char *path, enum image_use u
     uint32_t image = SCENE_NONE;
     enum err e = joined ? file_read(joined, IMAGE_BYTES_MAX, &data, &bytes) : ERR_NOMEM;
     if (e == ERR_OK) {
+        im->source_bytes += bytes;
         e = decode(im, data, bytes, joined, use, &image);
     } else if (e != ERR_NOMEM) {
         import_warn(im, "missing-image", "the model is shown without this picture",

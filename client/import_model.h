@@ -38,6 +38,7 @@ struct import {
     bool has_camera;
     double aspect;         /* width over height that the camera asks for; 0: any */
     bool has_lamp;         /* a light without a surface, or an emitter brighter than white paper */
+    uint64_t source_bytes; /* of the files read */
     uint64_t vertex_count; /* seen, for what to say of a model without a face */
     uint64_t point_count, line_count; /* elements left out */
     uint64_t told;                    /* bit per IMPORT_ONCE: what has been said */

@@ -67,6 +67,7 @@ static enum err read_library(struct import *im, struct shelf *s, const char *pat
     struct mtl_library library;
     enum err e = joined ? file_read(joined, LIBRARY_BYTES_MAX, &text, &bytes) : ERR_NOMEM;
     if (e == ERR_OK) {
+        im->source_bytes += bytes;
         e = mtl_read(text, bytes, joined, &library, im->problems);
         if (e == ERR_OK)
             e = put_on_shelf(s, &library, path);

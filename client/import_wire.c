@@ -86,7 +86,7 @@ static enum err send_chunk(int fd, const struct package_chunk *c)
 static enum err send_package(int fd, struct buf *head, const struct scene *scene)
 {
     struct package package;
-    TL_TRY(package_write(scene, &package));
+    TL_TRY(package_write_whole(scene, &package));
     buf_put_u32(head, (uint32_t)package.count);
     enum err e = buf_status(head);
     if (e == ERR_OK)

@@ -105,7 +105,7 @@ static void check_light(struct load *load, const char *path, const struct cli_li
 static void make_package(struct load *load)
 {
     load->spec_json = job_spec_to_json(&load->spec);
-    if (!load->spec_json || package_write(&load->scene, &load->package) != ERR_OK) {
+    if (!load->spec_json || package_write(&load->scene, load->spec.aov, &load->package) != ERR_OK) {
         load->status = EXIT_MACHINE;
         load->trouble = ERR_NOMEM;
         return;

@@ -180,3 +180,9 @@ char *file_other_case(const char *path)
     (void)closedir(dir);
     return found;
 }
+
+uint64_t file_length(const char *path)
+{
+    struct stat st;
+    return stat(path, &st) == 0 && S_ISREG(st.st_mode) ? (uint64_t)st.st_size : 0;
+}

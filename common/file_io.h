@@ -11,6 +11,9 @@
  * (mem_free). ERR_NOT_FOUND, ERR_IO (a folder, unreadable), ERR_LIMIT (over bytes_max). */
 TL_NODISCARD enum err file_read(const char *path, uint64_t bytes_max, char **data, size_t *bytes);
 
+/* Bytes of a file; 0 when there is none. */
+uint64_t file_length(const char *path);
+
 /* Writes beside `path`, syncs, and renames over it: afterwards the file is whole or as before.
  * ERR_NOSPACE, ERR_NOT_FOUND (no such folder), ERR_IO. */
 TL_NODISCARD enum err file_write(const char *path, const void *data, size_t bytes);

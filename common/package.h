@@ -9,7 +9,7 @@
  *   root:  "TLYR" u32 version, counts of meshes and images, one {digest, u64 bytes} for each
  *          mesh and then each image, then the tables in the order of package_tables.c
  *   mesh:  "TLYM" u32 version, counts, flags, positions, normals, uvs, indices
- *   image: "TLYI" u32 version, width, height, channels, format, pixels
+ *   image: "TLYI" u32 version, width, height, channels, format, stored channels, their planes
  *
  * The readers take hostile bytes: ERR_CORRUPT, ERR_LIMIT or ERR_VERSION, never a crash, and no
  * allocation larger than the bytes given can fill. Pure apart from memory; one thread per
@@ -23,7 +23,7 @@
 #include "common/scene.h"
 
 enum {
-    PACKAGE_VERSION = 1,
+    PACKAGE_VERSION = 2,
     PACKAGE_CHUNKS_MAX = 1 << 21,
     PACKAGE_ROOT_BYTES_MAX = 1 << 30,
 };
@@ -39,15 +39,48 @@ struct package_chunk {
     enum package_kind kind;
 };
 
+/* What a package leaves out: id, what, why. */
+#define PACKAGE_LEFT(X)                                                                            \
+    X(OBJECTS, "objects", "their opacity is 0: no path of light can meet them")                    \
+    X(MESHES, "meshes", "no object that can be met has them")                                      \
+    X(COPIES, "copies of meshes and pictures", "equal ones are there once")                        \
+    X(VERTICES, "vertices", "no triangle has them")                                                \
+    X(UVS, "texture coordinates", "nothing on their meshes is looked up by them")                  \
+    X(DIGITS, "halves of coordinates", "all coordinates of their meshes are exactly floats")       \
+    X(MATERIALS, "materials", "no object that can be met has them")                                \
+    X(TEXTURES, "textures", "no material in use reads them")                                       \
+    X(IMAGES, "pictures", "no texture in use reads them")                                          \
+    X(CHANNELS, "channels of pictures", "no material reads them")                                  \
+    X(OPAQUE, "alpha channels", "they are opaque everywhere")                                      \
+    X(GREY, "channels of pictures", "the picture is grey: one says it all")
+
+enum package_left_kind {
+#define PACKAGE_LEFT_ENUM(id, what, why) PACKAGE_LEFT_##id,
+    PACKAGE_LEFT(PACKAGE_LEFT_ENUM)
+#undef PACKAGE_LEFT_ENUM
+        PACKAGE_LEFT_COUNT
+};
+extern const char *const package_left_what[PACKAGE_LEFT_COUNT];
+extern const char *const package_left_why[PACKAGE_LEFT_COUNT];
+
+/* `bytes`: plain, of what the package would have held without the plan. */
+struct package_left {
+    uint64_t count, bytes;
+};
+
 /* chunks[0] is the root; the others are distinct. */
 struct package {
     struct package_chunk *chunks;
     size_t count;
+    struct package_left left[PACKAGE_LEFT_COUNT];
 };
 
-/* `scene` satisfies scene_check. What nothing visible refers to (textures, images, materials,
- * meshes) is left out. You release `out`. ERR_NOMEM. */
-TL_NODISCARD enum err package_write(const struct scene *scene, struct package *out);
+/* `scene` satisfies scene_check. What no picture with these AOVs depends on (scene_plan.h) is left
+ * out. You release `out`. ERR_NOMEM. */
+TL_NODISCARD enum err package_write(const struct scene *scene, uint32_t aov, struct package *out);
+
+/* Everything the scene holds, in full: for who wants it back as it was. */
+TL_NODISCARD enum err package_write_whole(const struct scene *scene, struct package *out);
 void package_release(struct package *p);
 
 /* What a root needs, in the order in which package_read asks for it. */

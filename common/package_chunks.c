@@ -6,89 +6,127 @@
 #include "common/mem.h"
 #include "common/model_file.h"
 #include "common/package_codec.h"
+#include "common/package_filter.h"
 
 static const char mesh_magic[4] = {'T', 'L', 'Y', 'M'};
 static const char image_magic[4] = {'T', 'L', 'Y', 'I'};
 
 enum { MESH_HAS_NORMALS = 1, MESH_HAS_UVS = 2, MESH_POSITIONS_F32 = 4, MESH_FLAGS_ALL = 7 };
+enum { HEAD_BYTES = 8 }; /* magic and version */
 
 /* --- Meshes -------------------------------------------------------------- */
 
-/* Most files hold floats: then four bytes a coordinate lose nothing. */
-static bool fits_f32(const double *v, size_t count)
+bool package_mesh_fits_f32(const struct scene_mesh *m)
 {
+    size_t count = (size_t)m->vertex_count * 3;
     for (size_t i = 0; i < count; i++)
-        if ((double)(float)v[i] != v[i])
+        if ((double)(float)m->positions[i] != m->positions[i])
             return false;
     return true;
 }
 
-static void put_positions(struct buf *out, const struct scene_mesh *m, bool f32)
+static void put_words(struct buf *out, const void *rows, size_t count, size_t columns,
+                      size_t word_bytes)
+{
+    unsigned char *at = buf_extend(out, count * columns * word_bytes);
+    if (at)
+        filter_words_put(rows, count, columns, word_bytes, at);
+}
+
+/* Most files hold floats: then four bytes a coordinate lose nothing. */
+static enum err put_positions(struct buf *out, const struct scene_mesh *m, bool f32)
 {
     size_t count = (size_t)m->vertex_count * 3;
     if (!f32) {
-        buf_put(out, m->positions, count * sizeof *m->positions);
-        return;
+        put_words(out, m->positions, m->vertex_count, 3, sizeof(double));
+        return ERR_OK;
     }
-    unsigned char *at = buf_extend(out, count * sizeof(float));
-    for (size_t i = 0; at && i < count; i++) {
-        float v = (float)m->positions[i];
-        memcpy(at + i * sizeof v, &v, sizeof v);
-    }
+    float *narrow = mem_alloc_array(count, sizeof *narrow);
+    if (!narrow)
+        return ERR_NOMEM;
+    for (size_t i = 0; i < count; i++)
+        narrow[i] = (float)m->positions[i];
+    put_words(out, narrow, m->vertex_count, 3, sizeof(float));
+    mem_free(narrow);
+    return ERR_OK;
 }
 
-enum err package_mesh_put(const struct scene_mesh *m, struct buf *out)
+enum err package_mesh_put(const struct scene_mesh *m, bool f32, struct buf *out)
 {
     struct codec c = {.out = out};
-    size_t vertices = m->vertex_count;
-    bool f32 = fits_f32(m->positions, vertices * 3);
+    size_t corners = (size_t)m->triangle_count * 3;
     uint32_t flags = (m->normals ? MESH_HAS_NORMALS : 0u) | (m->uvs ? MESH_HAS_UVS : 0u) |
                      (f32 ? MESH_POSITIONS_F32 : 0u);
     codec_magic(&c, mesh_magic);
     buf_put_u32(out, m->vertex_count);
     buf_put_u32(out, m->triangle_count);
     buf_put_u32(out, flags);
-    put_positions(out, m, f32);
+    TL_TRY(put_positions(out, m, f32));
     if (m->normals)
-        buf_put(out, m->normals, vertices * 3 * sizeof(float));
+        put_words(out, m->normals, m->vertex_count, 3, sizeof(float));
     if (m->uvs)
-        buf_put(out, m->uvs, vertices * 2 * sizeof(float));
-    buf_put(out, m->indices, (size_t)m->triangle_count * 3 * sizeof(uint32_t));
+        put_words(out, m->uvs, m->vertex_count, 2, sizeof(float));
+    unsigned char *at = buf_extend(out, corners * sizeof(uint32_t));
+    if (at)
+        filter_indices_put(m->indices, corners, at);
     return codec_end(&c);
 }
 
-/* Memory for `count` items copied from the reader; NULL with an error noted. Nothing is allocated
- * that the bytes left do not fill. */
-static void *get_array(struct codec *c, size_t count, size_t item_bytes)
+uint64_t package_mesh_bytes(const struct scene_mesh *m)
+{
+    uint64_t vertex = 3 * sizeof(double) + (m->normals ? 3 * sizeof(float) : 0) +
+                      (m->uvs ? 2 * sizeof(float) : 0);
+    return HEAD_BYTES + 3 * sizeof(uint32_t) + m->vertex_count * vertex +
+           m->triangle_count * UINT64_C(3) * sizeof(uint32_t) + CODEC_ENTRY_BYTES +
+           CODEC_NAME_BYTES + strlen(m->name);
+}
+
+/* The next `count` * `item_bytes` of the reader, with memory of `room_bytes` an item for what comes
+ * of them; NULL with an error noted. Nothing is allocated that the bytes left do not fill. */
+static void *get_array(struct codec *c, size_t count, size_t item_bytes, size_t room_bytes,
+                       const unsigned char **from)
 {
     if (c->error != ERR_OK)
         return NULL;
-    const unsigned char *at =
-        count <= buf_left(c->in) / item_bytes ? buf_get(c->in, count * item_bytes) : NULL;
-    if (!at) {
+    *from = count <= buf_left(c->in) / item_bytes ? buf_get(c->in, count * item_bytes) : NULL;
+    if (!*from) {
         codec_fail(c, ERR_CORRUPT);
         return NULL;
     }
-    void *copy = mem_alloc_array(count, item_bytes);
-    if (!copy)
+    void *room = mem_alloc_array(count, room_bytes);
+    if (!room)
         codec_fail(c, ERR_NOMEM);
-    else if (count)
-        memcpy(copy, at, count * item_bytes);
-    return copy;
+    return room;
+}
+
+static void *get_words(struct codec *c, size_t count, size_t columns, size_t word_bytes)
+{
+    const unsigned char *from;
+    size_t bytes = columns * word_bytes;
+    void *rows = get_array(c, count, bytes, bytes, &from);
+    if (rows)
+        filter_words_get(from, count, columns, word_bytes, rows);
+    return rows;
 }
 
 static double *get_positions(struct codec *c, size_t count, bool f32)
 {
+    const unsigned char *from;
     if (!f32)
-        return get_array(c, count, sizeof(double));
-    float *narrow = get_array(c, count, sizeof *narrow);
-    double *wide = narrow ? mem_alloc_array(count, sizeof *wide) : NULL;
-    if (narrow && !wide)
-        codec_fail(c, ERR_NOMEM);
-    for (size_t i = 0; wide && i < count; i++)
-        wide[i] = (double)narrow[i];
-    mem_free(narrow);
-    return wide;
+        return get_words(c, count, 3, sizeof(double));
+    double *rows = get_array(c, count, 3 * sizeof(float), 3 * sizeof *rows, &from);
+    if (rows)
+        filter_floats_get(from, count, 3, rows);
+    return rows;
+}
+
+static uint32_t *get_indices(struct codec *c, size_t count)
+{
+    const unsigned char *from;
+    uint32_t *indices = get_array(c, count, sizeof *indices, sizeof *indices, &from);
+    if (indices)
+        filter_indices_get(from, count, indices);
+    return indices;
 }
 
 enum err package_mesh_get(const void *data, size_t bytes, struct scene_mesh *m)
@@ -105,12 +143,12 @@ enum err package_mesh_get(const void *data, size_t bytes, struct scene_mesh *m)
     if (m->triangle_count > SCENE_TRIANGLES_MAX)
         codec_fail(&c, ERR_LIMIT);
     size_t vertices = m->vertex_count;
-    m->positions = get_positions(&c, vertices * 3, (flags & MESH_POSITIONS_F32) != 0);
+    m->positions = get_positions(&c, vertices, (flags & MESH_POSITIONS_F32) != 0);
     if (flags & MESH_HAS_NORMALS)
-        m->normals = get_array(&c, vertices * 3, sizeof(float));
+        m->normals = get_words(&c, vertices, 3, sizeof(float));
     if (flags & MESH_HAS_UVS)
-        m->uvs = get_array(&c, vertices * 2, sizeof(float));
-    m->indices = get_array(&c, (size_t)m->triangle_count * 3, sizeof(uint32_t));
+        m->uvs = get_words(&c, vertices, 2, sizeof(float));
+    m->indices = get_indices(&c, (size_t)m->triangle_count * 3);
     enum err e = codec_end(&c); /* what it holds is judged by scene_valid */
     if (e != ERR_OK)
         scene_mesh_release(m);
@@ -124,35 +162,110 @@ static size_t sample_bytes(enum scene_image_format format)
     return format == SCENE_IMAGE_F32 ? sizeof(float) : 1;
 }
 
-enum err package_image_put(const struct scene_image *image, struct buf *out)
+uint64_t package_image_bytes(const struct scene_image *image)
+{
+    return HEAD_BYTES + 5 * sizeof(uint32_t) + CODEC_ENTRY_BYTES +
+           (uint64_t)image->width * image->height * image->channel_count *
+               sample_bytes(image->format);
+}
+
+/* One channel of a float picture lies between the others: its words go through a row of their
+ * own. */
+static void put_plane_f32(const struct scene_image *image, uint32_t channel, float *row,
+                          unsigned char *out)
+{
+    const float *samples = image->pixels;
+    for (uint32_t y = 0; y < image->height; y++, out += (size_t)image->width * sizeof *row) {
+        for (uint32_t x = 0; x < image->width; x++)
+            row[x] = samples[((size_t)y * image->width + x) * image->channel_count + channel];
+        filter_words_put(row, image->width, 1, sizeof *row, out);
+    }
+}
+
+static void get_plane_f32(const unsigned char *in, uint32_t channel, float *row,
+                          const struct scene_image *image)
+{
+    float *samples = image->pixels;
+    for (uint32_t y = 0; y < image->height; y++, in += (size_t)image->width * sizeof *row) {
+        filter_words_get(in, image->width, 1, sizeof *row, row);
+        for (uint32_t x = 0; x < image->width; x++)
+            samples[((size_t)y * image->width + x) * image->channel_count + channel] = row[x];
+    }
+}
+
+static enum err put_planes(const struct scene_image *image, unsigned stored, struct buf *out)
+{
+    bool f32 = image->format == SCENE_IMAGE_F32;
+    size_t plane = (size_t)image->width * image->height * sample_bytes(image->format);
+    float *row = mem_alloc_array(f32 ? image->width : 1, sizeof *row);
+    for (uint32_t k = 0; row && k < image->channel_count; k++) {
+        unsigned char *at = stored >> k & 1 ? buf_extend(out, plane) : NULL;
+        if (at && f32)
+            put_plane_f32(image, k, row, at);
+        else if (at)
+            filter_plane_put((const unsigned char *)image->pixels + k, image->width, image->height,
+                             image->channel_count, at);
+    }
+    mem_free(row);
+    return row ? ERR_OK : ERR_NOMEM;
+}
+
+enum err package_image_put(const struct scene_image *image, unsigned stored, struct buf *out)
 {
     struct codec c = {.out = out};
-    size_t samples = (size_t)image->width * image->height * image->channel_count;
     codec_magic(&c, image_magic);
     buf_put_u32(out, image->width);
     buf_put_u32(out, image->height);
     buf_put_u32(out, image->channel_count);
     buf_put_u32(out, (uint32_t)image->format);
-    buf_put(out, image->pixels, samples * sample_bytes(image->format));
+    buf_put_u32(out, stored);
+    TL_TRY(put_planes(image, stored, out));
     return codec_end(&c);
+}
+
+/* The planes that are there into zeroed pixels; the bytes left hold all of them. */
+static void get_planes(struct codec *c, unsigned stored, const struct scene_image *image)
+{
+    bool f32 = image->format == SCENE_IMAGE_F32;
+    size_t plane = (size_t)image->width * image->height * sample_bytes(image->format);
+    float *row = mem_alloc_array(f32 ? image->width : 1, sizeof *row);
+    if (!row)
+        codec_fail(c, ERR_NOMEM);
+    for (uint32_t k = 0; row && k < image->channel_count; k++) {
+        const unsigned char *at = stored >> k & 1 ? buf_get(c->in, plane) : NULL;
+        if (at && f32)
+            get_plane_f32(at, k, row, image);
+        else if (at)
+            filter_plane_get(at, image->width, image->height, image->channel_count,
+                             (unsigned char *)image->pixels + k);
+    }
+    mem_free(row);
 }
 
 enum err package_image_get(const void *data, size_t bytes, struct scene_image *image)
 {
     struct buf_reader in = buf_reader_of(data, bytes);
     struct codec c = {.in = &in};
+    uint32_t stored = 0;
     codec_magic(&c, image_magic);
     codec_u32(&c, &image->width);
     codec_u32(&c, &image->height);
     codec_u32(&c, &image->channel_count);
     codec_enum(&c, &image->format, SCENE_IMAGE_U8_LINEAR);
+    codec_u32(&c, &stored);
     if (in.failed || image->width > SCENE_IMAGE_SIDE_MAX || image->height > SCENE_IMAGE_SIDE_MAX ||
-        image->channel_count > 4)
+        image->channel_count > 4 || stored == 0 || stored >> image->channel_count)
         codec_fail(&c, ERR_CORRUPT);
-    /* At most 2^15 * 2^15 * 4 samples: no overflow. */
-    size_t samples =
-        c.error == ERR_OK ? (size_t)image->width * image->height * image->channel_count : 0;
-    image->pixels = get_array(&c, samples, sample_bytes(image->format));
+    if (c.error != ERR_OK)
+        return codec_end(&c);
+    /* At most 2^15 * 2^15 * 4 samples: no overflow. Of four channels, one may have to fill all. */
+    size_t plane = (size_t)image->width * image->height * sample_bytes(image->format);
+    if (plane * (size_t)__builtin_popcount(stored) != buf_left(&in))
+        return ERR_CORRUPT;
+    image->pixels = mem_calloc(plane, image->channel_count);
+    if (!image->pixels)
+        return ERR_NOMEM;
+    get_planes(&c, stored, image);
     enum err e = codec_end(&c);
     if (e != ERR_OK) {
         mem_free(image->pixels);

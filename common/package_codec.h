@@ -45,15 +45,35 @@ void codec_table(struct codec *c, void **items, size_t *count, size_t count_max,
 /* "TLYx" and the version: ERR_CORRUPT, ERR_VERSION. */
 void codec_magic(struct codec *c, const char magic[4]);
 
+/* The least bytes of a row, its name empty; of an entry of the root's list; of a name. */
+enum {
+    CODEC_TEXTURE_BYTES = 4 + 4 + 48 + 4 + 8 + 48,
+    CODEC_MATERIAL_BYTES = 4 + 65 + 120 + 169,
+    CODEC_OBJECT_BYTES = 4 + 4 + 128 + 24 + 8 + 4 + 1 + 24,
+    CODEC_LIGHT_BYTES = 4 + 72 + 16,
+    CODEC_ENTRY_BYTES = DIGEST_BYTES + 8,
+    CODEC_NAME_BYTES = 4,
+};
+
 /* Everything of a scene but the contents of meshes and images. */
 void codec_scene(struct codec *c, struct scene *s);
 
-/* Whole chunks. Writing appends to an empty buf; reading takes all bytes, and leaves *m or *image
- * released on failure. */
-TL_NODISCARD enum err package_mesh_put(const struct scene_mesh *m, struct buf *out);
+/* True if every coordinate is exactly a float. */
+bool package_mesh_fits_f32(const struct scene_mesh *m);
+
+/* Whole chunks. `f32`: positions as floats, which they fit. `stored`: the channels that travel,
+ * bit 0 the first; reading, the others are 0. Writing appends to an empty buf; reading takes all
+ * bytes, and leaves *m or *image released on failure. */
+TL_NODISCARD enum err package_mesh_put(const struct scene_mesh *m, bool f32, struct buf *out);
 TL_NODISCARD enum err package_mesh_get(const void *data, size_t bytes, struct scene_mesh *m);
-TL_NODISCARD enum err package_image_put(const struct scene_image *image, struct buf *out);
+TL_NODISCARD enum err package_image_put(const struct scene_image *image, unsigned stored,
+                                        struct buf *out);
 TL_NODISCARD enum err package_image_get(const void *data, size_t bytes, struct scene_image *image);
+
+/* What a mesh and an image cost in a package when nothing is left out, their entries in the root
+ * included. */
+uint64_t package_mesh_bytes(const struct scene_mesh *m);
+uint64_t package_image_bytes(const struct scene_image *image);
 
 /* ERR_OK only if nothing failed and, reading, no byte is left. */
 TL_NODISCARD enum err codec_end(const struct codec *c);

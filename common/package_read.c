@@ -5,8 +5,6 @@
 #include "common/mem.h"
 #include "common/package_codec.h"
 
-enum { ENTRY_BYTES = DIGEST_BYTES + 8, NAME_BYTES_MIN = 4 };
-
 void package_index_release(struct package_index *index)
 {
     mem_free(index->entries);
@@ -21,7 +19,7 @@ static void get_index(struct codec *c, uint32_t mesh_count, uint32_t image_count
     size_t count = (size_t)mesh_count + image_count;
     if (mesh_count > SCENE_MESHES_MAX || image_count > SCENE_TEXTURES_MAX)
         codec_fail(c, ERR_LIMIT);
-    if (c->in->failed || count > buf_left(c->in) / ENTRY_BYTES)
+    if (c->in->failed || count > buf_left(c->in) / CODEC_ENTRY_BYTES)
         codec_fail(c, ERR_CORRUPT);
     index->entries = c->error == ERR_OK ? mem_calloc(count, sizeof *index->entries) : NULL;
     if (c->error == ERR_OK && !index->entries)
@@ -40,7 +38,7 @@ static void get_index(struct codec *c, uint32_t mesh_count, uint32_t image_count
 
 static void get_mesh_names(struct codec *c, uint32_t mesh_count, struct scene *s)
 {
-    if (c->error == ERR_OK && mesh_count > buf_left(c->in) / NAME_BYTES_MIN)
+    if (c->error == ERR_OK && mesh_count > buf_left(c->in) / CODEC_NAME_BYTES)
         codec_fail(c, ERR_CORRUPT);
     s->meshes = c->error == ERR_OK ? mem_calloc(mesh_count, sizeof *s->meshes) : NULL;
     if (c->error == ERR_OK && !s->meshes)

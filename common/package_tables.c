@@ -157,6 +157,7 @@ static void codec_principled(struct codec *c, struct scene_material *m)
 static void codec_material(struct codec *c, struct scene_material *m)
 {
     codec_name(c, &m->name);
+    codec_u32(c, &m->number);
     codec_enum(c, &m->type, SCENE_MATERIAL_BLACK);
     codec_u32(c, &m->texture);
     codec_f64s(c, m->color, 3);
@@ -175,7 +176,7 @@ static void codec_material(struct codec *c, struct scene_material *m)
 
 static void codec_object(struct codec *c, struct scene_object *o)
 {
-    codec_enum(c, &o->type, SCENE_OBJECT_SPHERE);
+    codec_enum(c, &o->type, SCENE_OBJECT_NOTHING);
     codec_u32(c, &o->mesh);
     codec_f64s(c, o->transform, 16);
     codec_f64s(c, o->center, 3);
@@ -209,14 +210,14 @@ static void codec_light(struct codec *c, struct scene_light *l)
 void codec_scene(struct codec *c, struct scene *s)
 {
     codec_camera(c, &s->camera);
+    codec_bool(c, &s->uvs_left_out);
     codec_u32(c, &s->envmap.texture);
     codec_f64s(c, &s->envmap.scale, 1);
     codec_f64s(c, s->envmap.transform, 16);
     codec_f64s(c, s->seed_light_position, 3);
     codec_f64s(c, s->seed_light_flux, 3);
-    /* The least bytes of an item: its name empty. */
-    codec_items(c, s, texture, SCENE_TEXTURES_MAX, 4 + 4 + 48 + 4 + 8 + 48, codec_texture);
-    codec_items(c, s, material, SCENE_MATERIALS_MAX, 65 + 120 + 169, codec_material);
-    codec_items(c, s, object, SCENE_OBJECTS_MAX, 4 + 4 + 128 + 24 + 8 + 4 + 1 + 24, codec_object);
-    codec_items(c, s, light, SCENE_LIGHTS_MAX, 4 + 72 + 16, codec_light);
+    codec_items(c, s, texture, SCENE_TEXTURES_MAX, CODEC_TEXTURE_BYTES, codec_texture);
+    codec_items(c, s, material, SCENE_MATERIALS_MAX, CODEC_MATERIAL_BYTES, codec_material);
+    codec_items(c, s, object, SCENE_OBJECTS_MAX, CODEC_OBJECT_BYTES, codec_object);
+    codec_items(c, s, light, SCENE_LIGHTS_MAX, CODEC_LIGHT_BYTES, codec_light);
 }

@@ -4,11 +4,24 @@
 
 #include "common/mem.h"
 #include "common/package_codec.h"
+#include "common/package_trim.h"
 
-/* A shallow copy of the scene that keeps only what is used, renumbered. Names, pixels and
+const char *const package_left_what[PACKAGE_LEFT_COUNT] = {
+#define PACKAGE_LEFT_WHAT(id, what, why) what,
+    PACKAGE_LEFT(PACKAGE_LEFT_WHAT)
+#undef PACKAGE_LEFT_WHAT
+};
+const char *const package_left_why[PACKAGE_LEFT_COUNT] = {
+#define PACKAGE_LEFT_WHY(id, what, why) why,
+    PACKAGE_LEFT(PACKAGE_LEFT_WHY)
+#undef PACKAGE_LEFT_WHY
+};
+
+/* A shallow copy of the scene that keeps only what the plan does, renumbered. Names, pixels and
  * vertices still belong to the original. */
 struct trimmed {
     struct scene scene;
+    struct scene_plan plan; /* its meshes and channels follow the scene's order */
     uint32_t *texture_map, *material_map, *mesh_map, *image_map; /* old index -> new */
 };
 
@@ -24,6 +37,7 @@ void package_release(struct package *p)
 
 static void trimmed_release(struct trimmed *t)
 {
+    scene_plan_release(&t->plan);
     mem_free(t->texture_map);
     mem_free(t->material_map);
     mem_free(t->mesh_map);
@@ -70,12 +84,6 @@ static bool trimmed_alloc(struct trimmed *t, const struct scene *s)
            to->textures && to->materials && to->meshes && to->objects && to->lights;
 }
 
-static void mark(uint32_t *map, uint32_t index)
-{
-    if (index != SCENE_NONE)
-        map[index] = 0;
-}
-
 static void renumber(uint32_t *index, const uint32_t *map)
 {
     if (*index != SCENE_NONE)
@@ -96,13 +104,10 @@ static size_t compact(void *items, size_t count, size_t item_bytes, uint32_t *ma
     return kept;
 }
 
-static void mark_material(struct trimmed *t, const struct scene_material *m)
+static void leave(struct package_left *left, enum package_left_kind kind, uint64_t bytes)
 {
-    mark(t->texture_map, m->texture);
-    mark(t->texture_map, m->metallic_roughness_texture);
-    mark(t->texture_map, m->emission_texture);
-    mark(t->texture_map, m->normal_texture);
-    mark(t->texture_map, m->transmission_texture);
+    left[kind].count++;
+    left[kind].bytes += bytes;
 }
 
 static void renumber_all(struct trimmed *t)
@@ -125,21 +130,62 @@ static void renumber_all(struct trimmed *t)
     renumber(&s->envmap.texture, t->texture_map);
 }
 
-static void trim(struct trimmed *t)
+/* Marks what the plan keeps, and counts the rest. */
+static void mark_kept(struct trimmed *t, struct package_left *left)
+{
+    const struct scene *s = &t->scene;
+    for (size_t i = 0; i < s->mesh_count; i++) {
+        if (t->plan.meshes[i].uses > 0)
+            t->mesh_map[i] = 0;
+        else
+            leave(left, PACKAGE_LEFT_MESHES, package_mesh_bytes(&s->meshes[i]));
+    }
+    for (size_t i = 0; i < s->image_count; i++) {
+        if (t->plan.channels[i])
+            t->image_map[i] = 0;
+        else
+            leave(left, PACKAGE_LEFT_IMAGES, package_image_bytes(&s->images[i]));
+    }
+    for (size_t i = 0; i < s->texture_count; i++) {
+        if (t->plan.textures[i])
+            t->texture_map[i] = 0;
+        else
+            leave(left, PACKAGE_LEFT_TEXTURES, CODEC_TEXTURE_BYTES + strlen(s->textures[i].name));
+    }
+    for (size_t i = 0; i < s->material_count; i++) {
+        if (t->plan.materials[i])
+            t->material_map[i] = 0;
+        else
+            leave(left, PACKAGE_LEFT_MATERIALS,
+                  CODEC_MATERIAL_BYTES + strlen(s->materials[i].name));
+    }
+}
+
+/* Objects keep their numbers; those that nothing meets keep nothing else. */
+static void trim_objects(struct trimmed *t, struct package_left *left)
+{
+    for (size_t i = 0; i < t->scene.object_count; i++) {
+        if (t->plan.objects[i])
+            continue;
+        scene_object_init(&t->scene.objects[i]);
+        t->scene.objects[i].type = SCENE_OBJECT_NOTHING;
+        leave(left, PACKAGE_LEFT_OBJECTS, 0);
+    }
+}
+
+static void trim(struct trimmed *t, struct package_left *left)
 {
     struct scene *s = &t->scene;
-    for (size_t i = 0; i < s->object_count; i++) {
-        mark(t->material_map, s->objects[i].material);
-        mark(t->mesh_map, s->objects[i].mesh);
-    }
+    struct scene_plan *p = &t->plan;
+    trim_objects(t, left);
     for (size_t i = 0; i < s->material_count; i++)
-        if (t->material_map[i] != SCENE_NONE)
-            mark_material(t, &s->materials[i]);
-    mark(t->texture_map, s->envmap.texture);
-    for (size_t i = 0; i < s->texture_count; i++)
-        if (t->texture_map[i] != SCENE_NONE)
-            mark(t->image_map, s->textures[i].image);
-
+        if (s->materials[i].number == SCENE_NONE)
+            s->materials[i].number = (uint32_t)i;
+    for (size_t i = 0; !p->whole && i < s->material_count; i++)
+        s->materials[i] = scene_plan_material(&s->materials[i], p->emissions[i]);
+    mark_kept(t, left);
+    (void)compact(p->meshes, s->mesh_count, sizeof *p->meshes, t->mesh_map);
+    (void)compact(p->channels, s->image_count, sizeof *p->channels, t->image_map);
     s->material_count =
         compact(s->materials, s->material_count, sizeof *s->materials, t->material_map);
     s->mesh_count = compact(s->meshes, s->mesh_count, sizeof *s->meshes, t->mesh_map);
@@ -196,6 +242,42 @@ static bool chunk_set_add(struct chunk_set *set, struct buf *b, enum package_kin
     return true;
 }
 
+/* A chunk that is there already has cost nothing but its name. */
+static void leave_copy(struct package *p, uint64_t bytes)
+{
+    leave(p->left, PACKAGE_LEFT_COPIES, bytes + CODEC_ENTRY_BYTES);
+}
+
+/* The trimmed mesh as a chunk. */
+static enum err put_mesh(const struct trimmed *t, size_t i, struct package *p, struct buf *b)
+{
+    struct trimmed_mesh m = {.mesh = t->scene.meshes[i]};
+    if (!t->plan.whole)
+        TL_TRY(package_trim_mesh(&t->scene.meshes[i], &t->plan.meshes[i], p->left, &m));
+    bool f32 = !t->plan.whole && package_mesh_fits_f32(&m.mesh);
+    if (f32) {
+        p->left[PACKAGE_LEFT_DIGITS].count += m.mesh.vertex_count * UINT64_C(3);
+        p->left[PACKAGE_LEFT_DIGITS].bytes += m.mesh.vertex_count * UINT64_C(3) * sizeof(float);
+    }
+    enum err e = package_mesh_put(&m.mesh, f32, b);
+    package_trim_mesh_release(&m);
+    return e;
+}
+
+static enum err put_image(const struct trimmed *t, size_t i, struct package *p, struct buf *b)
+{
+    struct scene_image image = t->scene.images[i];
+    unsigned stored = (1u << image.channel_count) - 1;
+    bool own = false;
+    if (!t->plan.whole)
+        TL_TRY(package_trim_image(&t->scene.images[i], t->plan.channels[i], p->left, &image,
+                                  &stored, &own));
+    enum err e = package_image_put(&image, stored, b);
+    if (own)
+        mem_free(image.pixels);
+    return e;
+}
+
 /* Meshes with the same bytes become one: objects then share its index. */
 static enum err put_meshes(struct trimmed *t, struct package *p)
 {
@@ -205,9 +287,12 @@ static enum err put_meshes(struct trimmed *t, struct package *p)
     for (size_t i = 0; e == ERR_OK && i < s->mesh_count; i++) {
         struct buf b;
         buf_init(&b);
-        e = package_mesh_put(&s->meshes[i], &b);
+        e = put_mesh(t, i, p, &b);
+        uint64_t bytes = b.bytes;
         if (e == ERR_OK && chunk_set_add(&set, &b, PACKAGE_MESH, &t->mesh_map[i]))
             s->meshes[set.count - 1] = s->meshes[i];
+        else if (e == ERR_OK)
+            leave_copy(p, bytes + CODEC_NAME_BYTES + strlen(s->meshes[i].name));
         buf_release(&b);
     }
     for (size_t i = 0; e == ERR_OK && i < s->object_count; i++)
@@ -226,9 +311,10 @@ static enum err put_images(struct trimmed *t, struct package *p)
     for (size_t i = 0; e == ERR_OK && i < s->image_count; i++) {
         struct buf b;
         buf_init(&b);
-        e = package_image_put(&s->images[i], &b);
-        if (e == ERR_OK)
-            (void)chunk_set_add(&set, &b, PACKAGE_IMAGE, &t->image_map[i]);
+        e = put_image(t, i, p, &b);
+        uint64_t bytes = b.bytes;
+        if (e == ERR_OK && !chunk_set_add(&set, &b, PACKAGE_IMAGE, &t->image_map[i]))
+            leave_copy(p, bytes);
         buf_release(&b);
     }
     for (size_t i = 0; e == ERR_OK && i < s->texture_count; i++)
@@ -241,6 +327,7 @@ static enum err put_images(struct trimmed *t, struct package *p)
 
 static enum err put_root(struct trimmed *t, struct package *p)
 {
+    t->scene.uvs_left_out |= p->left[PACKAGE_LEFT_UVS].count > 0;
     struct buf b;
     buf_init(&b);
     struct codec c = {.out = &b};
@@ -274,13 +361,15 @@ static enum err put_all(struct trimmed *t, struct package *p)
     return put_root(t, p);
 }
 
-enum err package_write(const struct scene *scene, struct package *out)
+/* Takes the plan. */
+static enum err write_planned(const struct scene *scene, const struct scene_plan *plan,
+                              struct package *out)
 {
-    struct trimmed t = {0};
+    struct trimmed t = {.plan = *plan};
     struct package p = {0};
     enum err e = ERR_NOMEM;
     if (trimmed_alloc(&t, scene)) {
-        trim(&t);
+        trim(&t, p.left);
         e = put_all(&t, &p);
     }
     trimmed_release(&t);
@@ -289,4 +378,18 @@ enum err package_write(const struct scene *scene, struct package *out)
     else
         package_release(&p);
     return e;
+}
+
+enum err package_write(const struct scene *scene, uint32_t aov, struct package *out)
+{
+    struct scene_plan plan;
+    TL_TRY(scene_plan_make(scene, aov, &plan));
+    return write_planned(scene, &plan, out);
+}
+
+enum err package_write_whole(const struct scene *scene, struct package *out)
+{
+    struct scene_plan plan;
+    TL_TRY(scene_plan_keep_all(scene, &plan));
+    return write_planned(scene, &plan, out);
 }

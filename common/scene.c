@@ -37,6 +37,7 @@ void scene_texture_init(struct scene_texture *t)
 void scene_material_init(struct scene_material *m)
 {
     *m = (struct scene_material){
+        .number = SCENE_NONE,
         .type = SCENE_MATERIAL_DIFFUSE,
         .texture = SCENE_NONE,
         .distribution = SCENE_BECKMANN,
@@ -228,8 +229,10 @@ static bool mesh_valid(const struct scene_mesh *m)
 static bool object_valid(const struct scene *s, const struct scene_object *o)
 {
     bool shape = o->type == SCENE_OBJECT_MESH ? o->mesh < s->mesh_count
-                                              : o->type == SCENE_OBJECT_SPHERE &&
+                                              : (unsigned)o->type <= SCENE_OBJECT_NOTHING &&
                                                     o->mesh == SCENE_NONE && positive(o->radius);
+    if (o->type == SCENE_OBJECT_NOTHING && o->emits)
+        return false;
     return shape && index_valid(o->material, s->material_count) && all_finite(o->center, 3) &&
            scene_transform_valid(o->transform) && none_negative(o->radiance, 3);
 }

@@ -72,6 +72,7 @@ enum scene_distribution { SCENE_BECKMANN, SCENE_GGX };
 
 struct scene_material {
     char *name;
+    uint32_t number; /* in the list of the scene as it was read; SCENE_NONE: its place here */
     enum scene_material_type type;
     uint32_t texture; /* albedo, reflectance or base colour; SCENE_NONE: `color` */
     double color[3];  /* used when texture is SCENE_NONE; else a factor (default 1) */
@@ -110,11 +111,15 @@ struct scene_mesh {
     uint32_t *indices; /* 3 * triangle_count, each < vertex_count */
 };
 
-enum scene_object_type { SCENE_OBJECT_MESH, SCENE_OBJECT_SPHERE };
+enum scene_object_type {
+    SCENE_OBJECT_MESH,
+    SCENE_OBJECT_SPHERE,
+    SCENE_OBJECT_NOTHING, /* keeps its number, but nothing can meet it (scene_plan.h) */
+};
 
 struct scene_object {
     enum scene_object_type type;
-    uint32_t mesh;            /* index, or SCENE_NONE for a sphere */
+    uint32_t mesh;            /* index, or SCENE_NONE for others */
     double transform[16];     /* object to world, affine; the identity for a sphere */
     double center[3], radius; /* sphere, world */
     uint32_t material;        /* index, or SCENE_NONE: black */
@@ -173,6 +178,9 @@ struct scene {
     size_t object_count;
     struct scene_light *lights;
     size_t light_count;
+
+    bool uvs_left_out;     /* by a package made for jobs that do not show them */
+    uint64_t source_bytes; /* of the files that all this was read from; no package carries it */
 };
 
 /* An empty scene: default camera, no environment, identity transforms. */

@@ -312,6 +312,8 @@ enum err scene_json_read_file(const char *path, struct scene *scene, struct job_
         return unreadable(path, e, problems);
     char *folder = file_folder(path);
     e = folder ? scene_json_read(text, bytes, path, folder, scene, spec, problems) : ERR_NOMEM;
+    if (e == ERR_OK)
+        scene->source_bytes += bytes;
     mem_free(folder);
     mem_free(text);
     return e;

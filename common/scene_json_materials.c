@@ -1,6 +1,7 @@
 /* The keys "textures" and "materials". */
 #include <string.h>
 
+#include "common/file_io.h"
 #include "common/mem.h"
 #include "common/scene_loader.h"
 
@@ -21,6 +22,7 @@ static uint32_t read_image(struct scene_loader *l, const struct json *v, const c
     size_t problems_before = l->g.problems->count;
     enum err e = image_read_file(full, use, &image, l->g.problems);
     scene_load_name_user(l, v, problems_before);
+    s->source_bytes += file_length(full);
     mem_free(full);
     if (e == ERR_OK &&
         scene_load_grow(l, s->images, s->image_count, l->image_capacity, SCENE_TEXTURES_MAX, v)) {

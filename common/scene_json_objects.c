@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "common/dmath.h"
+#include "common/file_io.h"
 #include "common/mem.h"
 #include "common/model_file.h"
 #include "common/scene_loader.h"
@@ -19,6 +20,7 @@ static uint32_t read_mesh(struct scene_loader *l, const struct json *v, const ch
     size_t problems_before = l->g.problems->count;
     enum err e = model_read_mesh(full, full, &mesh, l->g.problems);
     scene_load_name_user(l, v, problems_before);
+    s->source_bytes += file_length(full);
     mem_free(full);
     l->out_of_memory |= e == ERR_NOMEM;
     if (e != ERR_OK)

@@ -69,7 +69,7 @@ def test_good_scene(farm, tmp_path):
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)
     assert facts["triangles"] == 1 and facts["spheres"] == 1 and facts["lights"] == 1
-    assert "diffuse" in facts["uses"] and "glass" in facts["uses_not"]
+    assert "diffuse" in facts["needs"] and "glass" in facts["needs_not"]
 
 
 PLACES = {

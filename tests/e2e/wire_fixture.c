@@ -38,7 +38,7 @@ static void save_package(const char *folder, const struct scene *scene)
     struct package package;
     struct buf index;
     buf_init(&index);
-    must(package_write(scene, &package) == ERR_OK, "package_write");
+    must(package_write(scene, 0, &package) == ERR_OK, "package_write");
     for (size_t i = 0; i < package.count; i++) {
         const struct package_chunk *c = &package.chunks[i];
         char hex[DIGEST_HEX_BYTES], file[DIGEST_HEX_BYTES + 4];

@@ -31,7 +31,9 @@ static void fuzz_plain(const uint8_t *data, size_t bytes)
     if (package_mesh_get(data, bytes, &mesh) == ERR_OK) {
         struct buf again;
         buf_init(&again);
-        TL_ASSERT(package_mesh_put(&mesh, &again) != ERR_OK || again.bytes == bytes);
+        enum { FLAGS_AT = 16, POSITIONS_F32 = 4 };
+        bool f32 = data[FLAGS_AT] & POSITIONS_F32;
+        TL_ASSERT(package_mesh_put(&mesh, f32, &again) != ERR_OK || again.bytes == bytes);
         buf_release(&again);
         scene_mesh_release(&mesh);
     }

@@ -21,7 +21,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t bytes)
     TL_ASSERT((e == ERR_OK) == (problems.error_count == 0));
     if (e == ERR_OK) {
         TL_ASSERT(scene_valid(&scene) && job_spec_valid(&spec, NULL));
-        TL_ASSERT(package_write(&scene, &package) == ERR_OK);
+        TL_ASSERT(package_write(&scene, 0, &package) == ERR_OK);
         package_release(&package);
         scene_release(&scene);
     }

@@ -41,7 +41,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t bytes)
     struct supply supply = {.at = data + root, .left = bytes - root};
     if (package_read(data, root, fetch, &supply, &scene) == ERR_OK) {
         TL_ASSERT(scene_valid(&scene));
-        TL_ASSERT(package_write(&scene, &package) == ERR_OK);
+        TL_ASSERT(package_write(&scene, 0, &package) == ERR_OK);
         package_release(&package);
         scene_release(&scene);
     }

@@ -167,7 +167,7 @@ static void run_round(void)
     struct scene s, back;
     struct package p, again;
     make_scene(&s);
-    TL_ASSERT(package_write(&s, &p) == ERR_OK);
+    TL_ASSERT(package_write(&s, 0, &p) == ERR_OK);
     struct supply supply = {.package = &p, .swapped = SIZE_MAX};
     TL_ASSERT(package_read(p.chunks[0].data, p.chunks[0].bytes, fetch, &supply, &back) == ERR_OK);
     TL_ASSERT(back.object_count == s.object_count && back.mesh_count <= s.mesh_count);
@@ -179,7 +179,7 @@ static void run_round(void)
         TL_ASSERT(a->type == SCENE_OBJECT_SPHERE ||
                   s.meshes[a->mesh].triangle_count == back.meshes[b->mesh].triangle_count);
     }
-    TL_ASSERT(package_write(&back, &again) == ERR_OK && again.count == p.count);
+    TL_ASSERT(package_write(&back, 0, &again) == ERR_OK && again.count == p.count);
     for (size_t i = 0; i < p.count; i++)
         TL_ASSERT(digest_equal(&p.chunks[i].name, &again.chunks[i].name));
     check_swap(&p, &supply);

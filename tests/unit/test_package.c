@@ -91,13 +91,46 @@ static enum err fetch(void *ctx, size_t i, const struct package_index_entry *ent
     return ERR_OK;
 }
 
+/* What is sent again after an edit: the chunks whose names were not there before. */
+static size_t new_chunks(const struct package *before, const struct package *after)
+{
+    size_t count = 0;
+    for (size_t i = 0; i < after->count; i++) {
+        bool known = false;
+        for (size_t k = 0; k < before->count; k++)
+            known |= digest_equal(&after->chunks[i].name, &before->chunks[k].name);
+        count += !known;
+    }
+    return count;
+}
+
+static void edits_send_what_changed(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct package before, after;
+    make_scene(&s);
+    assert_int_equal(package_write(&s, 0, &before), ERR_OK);
+    s.materials[2].color[0] = 0.25;
+    assert_int_equal(package_write(&s, 0, &after), ERR_OK);
+    assert_int_equal(new_chunks(&before, &after), 1); /* the root */
+    assert_true(after.chunks[0].bytes < 4096);
+    package_release(&after);
+    s.meshes[1].positions[3] = 9;
+    assert_int_equal(package_write(&s, 0, &after), ERR_OK);
+    assert_int_equal(new_chunks(&before, &after), 2); /* and the mesh */
+    package_release(&after);
+    package_release(&before);
+    scene_release(&s);
+}
+
 static void a_scene_comes_back_trimmed(void **state)
 {
     (void)state;
     struct scene s, back;
     struct package p, again;
     make_scene(&s);
-    assert_int_equal(package_write(&s, &p), ERR_OK);
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
     assert_int_equal(p.count, 1 + 2 + 1); /* root, two distinct meshes, one used image */
     assert_int_equal(package_read(p.chunks[0].data, p.chunks[0].bytes, fetch, &p, &back), ERR_OK);
     assert_int_equal(back.mesh_count, 2);
@@ -111,7 +144,7 @@ static void a_scene_comes_back_trimmed(void **state)
     assert_true(back.meshes[1].positions[3] == 1.1); /* not a float: kept in double */
     assert_true(back.lights[0].intensity[2] == 3);
     /* The same scene gives the same names, wherever it was read from. */
-    assert_int_equal(package_write(&back, &again), ERR_OK);
+    assert_int_equal(package_write(&back, 0, &again), ERR_OK);
     assert_true(digest_equal(&p.chunks[0].name, &again.chunks[0].name));
     package_release(&again);
     package_release(&p);
@@ -126,7 +159,7 @@ static void the_index_lists_what_is_needed(void **state)
     struct package p;
     struct package_index index;
     make_scene(&s);
-    assert_int_equal(package_write(&s, &p), ERR_OK);
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
     assert_int_equal(package_root_read(p.chunks[0].data, p.chunks[0].bytes, &index), ERR_OK);
     assert_int_equal(index.count, p.count - 1);
     for (size_t i = 0; i < index.count; i++) {
@@ -147,7 +180,7 @@ static void hostile_bytes_never_pass_unseen(void **state)
     struct package p;
     struct package_index index;
     make_scene(&s);
-    assert_int_equal(package_write(&s, &p), ERR_OK);
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
     struct package_chunk *root = &p.chunks[0];
     for (size_t cut = 0; cut < root->bytes; cut++)
         assert_int_equal(package_root_read(root->data, cut, &index), ERR_CORRUPT);
@@ -179,7 +212,7 @@ static void memory_runs_out_cleanly(void **state)
     enum err e = ERR_NOMEM;
     for (uint64_t n = 0; e != ERR_OK; n++) {
         mem_fail_after(n);
-        e = package_write(&s, &p);
+        e = package_write(&s, 0, &p);
         mem_fail_after(UINT64_MAX);
         assert_true(e == ERR_OK || e == ERR_NOMEM);
     }
@@ -253,6 +286,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_scene_comes_back_trimmed),
+        cmocka_unit_test(edits_send_what_changed),
         cmocka_unit_test(the_index_lists_what_is_needed),
         cmocka_unit_test(hostile_bytes_never_pass_unseen),
         cmocka_unit_test(memory_runs_out_cleanly),

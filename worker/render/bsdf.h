@@ -27,6 +27,7 @@ static const double PRINCIPLED_ALPHA_MIN = 1e-3;
 
 /* Indices are into the render scene's tables; SCENE_NONE when absent. */
 struct material {
+    uint32_t number; /* in the user's list */
     enum scene_material_type type;
     uint32_t texture;
     rgb color; /* times the texture */

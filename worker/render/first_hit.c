@@ -110,7 +110,8 @@ static void centre_values(const struct render_scene *scene, const struct hit *hi
         world = v3_mad(v3_of(scene->center), s.p, 1 / scene->scale);
         object = hit->object + 1.0;
         /* The last material stands for none. */
-        material = s.material + 1 < scene->material_count ? s.material + 1.0 : 0;
+        material =
+            s.material + 1 < scene->material_count ? scene->materials[s.material].number + 1.0 : 0;
     }
     put(set, AOV_DEPTH, &depth, out, &count);
     put_vec(set, AOV_POSITION, world, out, &count);

@@ -35,6 +35,8 @@ out:
 static enum err build(struct render_scene *rs, const struct scene *scene,
                       const struct accel_runner *runner)
 {
+    if (scene->uvs_left_out && aov_has(rs->spec.aov, AOV_UV))
+        return ERR_INPUT;
     TL_TRY(scene_build_geometry(rs, scene));
     TL_TRY(scene_build_materials(rs, scene));
     TL_TRY(scene_build_lights(rs, scene));

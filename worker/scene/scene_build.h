@@ -16,7 +16,8 @@
 #include "worker/render/accel.h"
 
 /* The scene is valid (scene_check), the spec too. ERR_NOMEM; ERR_LIMIT when the extent of the
- * scene cannot be held in a double. */
+ * scene cannot be held in a double; ERR_INPUT when the job shows texture coordinates and the
+ * package was made without. */
 TL_NODISCARD enum err scene_build(const struct scene *scene, const struct job_spec *spec,
                                   const struct accel_runner *runner, struct render_scene **out);
 

@@ -5,11 +5,7 @@
 
 #include <float.h>
 
-enum {
-    /* A mesh of several objects is instanced from this many triangles on: below, the second
-     * level of traversal costs more than the memory is worth. */
-    INSTANCE_TRIANGLES_MIN = 4096,
-};
+#include "common/scene_plan.h"
 
 struct box {
     double low[3], high[3];
@@ -87,22 +83,59 @@ static void affine_inverse(const double m[12], double out[12])
     out[11] = -t.z;
 }
 
-static struct box scene_bounds(const struct scene *scene)
+/* What scene_build_geometry keeps of each mesh of the scene. */
+struct mesh_use {
+    uint32_t uses;
+    bool emits;
+    bool strays;             /* has vertices that no triangle has: they have no extent */
+    const float *uvs;        /* the arena's copy, once made */
+    uint32_t instanced;      /* its render mesh in mesh space, once made; else SCENE_NONE */
+    double center[3], scale; /* of that space */
+};
+
+static enum err find_strays(const struct scene_mesh *m, struct mesh_use *use)
+{
+    bool *seen = mem_calloc(m->vertex_count, sizeof *seen);
+    if (!seen)
+        return ERR_NOMEM;
+    size_t count = 0;
+    for (size_t i = 0; i < (size_t)m->triangle_count * 3; i++) {
+        count += !seen[m->indices[i]];
+        seen[m->indices[i]] = true;
+    }
+    use->strays = count < m->vertex_count;
+    mem_free(seen);
+    return ERR_OK;
+}
+
+static void mesh_bounds(const struct scene_mesh *m, const struct mesh_use *use,
+                        const double to_world[12], struct box *b)
+{
+    size_t corners = (size_t)m->triangle_count * 3;
+    if (use->strays)
+        for (size_t i = 0; i < corners; i++)
+            box_add(b, affine_point(to_world, mesh_point(m, m->indices[i])));
+    else
+        for (size_t v = 0; v < m->vertex_count; v++)
+            box_add(b, affine_point(to_world, mesh_point(m, v)));
+}
+
+static struct box scene_bounds(const struct scene *scene, const struct mesh_use *uses)
 {
     struct box b = empty_box;
     for (size_t i = 0; i < scene->object_count; i++) {
         const struct scene_object *o = &scene->objects[i];
+        if (scene_object_is_nothing(scene, o))
+            continue;
         if (o->type == SCENE_OBJECT_SPHERE) {
             vec3 r = v3(o->radius, o->radius, o->radius);
             box_add(&b, v3_sub(v3_of(o->center), r));
             box_add(&b, v3_add(v3_of(o->center), r));
             continue;
         }
-        const struct scene_mesh *m = &scene->meshes[o->mesh];
         double to_world[12];
         affine_of(o->transform, to_world);
-        for (size_t v = 0; v < m->vertex_count; v++)
-            box_add(&b, affine_point(to_world, mesh_point(m, v)));
+        mesh_bounds(&scene->meshes[o->mesh], &uses[o->mesh], to_world, &b);
     }
     return b;
 }
@@ -192,15 +225,6 @@ static enum err place_mesh(struct render_scene *rs, const struct scene_mesh *m,
     return out->indices ? ERR_OK : ERR_NOMEM;
 }
 
-/* What scene_build_geometry keeps of each mesh of the scene. */
-struct mesh_use {
-    uint32_t uses;
-    bool emits;
-    const float *uvs;        /* the arena's copy, once made */
-    uint32_t instanced;      /* its render mesh in mesh space, once made; else SCENE_NONE */
-    double center[3], scale; /* of that space */
-};
-
 static const float *shared_uvs(struct render_scene *rs, const struct scene_mesh *m,
                                struct mesh_use *use)
 {
@@ -223,7 +247,7 @@ static bool wants_instance(const struct scene_object *o, const struct scene_mesh
     double norm = 0;
     for (int k = 0; k < 12; k++)
         norm = k % 4 < 3 && fabs(to_world[k]) > norm ? fabs(to_world[k]) : norm;
-    return use->uses > 1 && !use->emits && m->triangle_count >= INSTANCE_TRIANGLES_MIN &&
+    return use->uses > 1 && !use->emits && m->triangle_count >= SCENE_INSTANCE_TRIANGLES_MIN &&
            det > 1e-6 * norm * norm * norm;
 }
 
@@ -252,8 +276,7 @@ static enum err build_instance(struct render_scene *rs, const struct scene *scen
     if (use->instanced == SCENE_NONE) {
         struct placement at = {.to_world = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
         struct box b = empty_box;
-        for (size_t v = 0; v < m->vertex_count; v++)
-            box_add(&b, mesh_point(m, v));
+        mesh_bounds(m, use, at.to_world, &b);
         if (!box_normalise(&b, at.center, &at.scale))
             return ERR_LIMIT;
         memcpy(use->center, at.center, sizeof at.center);
@@ -288,6 +311,11 @@ static enum err build_object(struct render_scene *rs, const struct scene *scene,
     out->light_begin = SCENE_NONE;
     out->radiance = o->emits ? rgb_of(o->radiance) : rgb_grey(0);
     out->emission_texture = SCENE_NONE;
+    if (scene_object_is_nothing(scene, o)) { /* keeps its number, as a mesh without triangles */
+        out->type = ACCEL_TRIANGLES;
+        out->mesh = (uint32_t)rs->mesh_count++;
+        return ERR_OK;
+    }
     add_material_emission(scene, o, out);
     if (o->type == SCENE_OBJECT_SPHERE) {
         out->type = ACCEL_SPHERE;
@@ -320,32 +348,45 @@ static bool object_emits(const struct scene *scene, const struct scene_object *o
     return e[0] > 0 || e[1] > 0 || e[2] > 0;
 }
 
-enum err scene_build_geometry(struct render_scene *rs, const struct scene *scene)
+/* What each mesh is used for. */
+static enum err find_uses(const struct scene *scene, struct mesh_use *uses)
 {
-    struct box b = scene_bounds(scene);
+    for (size_t i = 0; i < scene->mesh_count; i++)
+        uses[i].instanced = SCENE_NONE;
+    for (size_t i = 0; i < scene->object_count; i++) {
+        const struct scene_object *o = &scene->objects[i];
+        if (o->type != SCENE_OBJECT_MESH || scene_object_is_nothing(scene, o))
+            continue;
+        if (uses[o->mesh].uses++ == 0)
+            TL_TRY(find_strays(&scene->meshes[o->mesh], &uses[o->mesh]));
+        uses[o->mesh].emits |= object_emits(scene, o);
+    }
+    return ERR_OK;
+}
+
+static enum err build_all(struct render_scene *rs, const struct scene *scene, struct mesh_use *uses)
+{
+    TL_TRY(find_uses(scene, uses));
+    struct box b = scene_bounds(scene, uses);
     if (!box_normalise(&b, rs->center, &rs->scale))
         return ERR_LIMIT;
+    for (size_t i = 0; i < scene->object_count; i++) {
+        const struct scene_object *o = &scene->objects[i];
+        struct mesh_use *use = o->type == SCENE_OBJECT_MESH ? &uses[o->mesh] : NULL;
+        TL_TRY(build_object(rs, scene, o, use, &rs->objects[i]));
+    }
+    rs->object_count = scene->object_count;
+    return ERR_OK;
+}
+
+enum err scene_build_geometry(struct render_scene *rs, const struct scene *scene)
+{
     struct mesh_use *uses = mem_calloc(scene->mesh_count, sizeof *uses);
     /* At most one render mesh an object, and one more for each mesh that is instanced. */
     rs->meshes =
         arena_alloc(&rs->arena, scene->object_count + scene->mesh_count, sizeof *rs->meshes);
     rs->objects = arena_alloc(&rs->arena, scene->object_count, sizeof *rs->objects);
-    enum err e = uses && rs->meshes && rs->objects ? ERR_OK : ERR_NOMEM;
-    for (size_t i = 0; e == ERR_OK && i < scene->mesh_count; i++)
-        uses[i].instanced = SCENE_NONE;
-    for (size_t i = 0; e == ERR_OK && i < scene->object_count; i++) {
-        const struct scene_object *o = &scene->objects[i];
-        if (o->type == SCENE_OBJECT_MESH) {
-            uses[o->mesh].uses++;
-            uses[o->mesh].emits |= object_emits(scene, o);
-        }
-    }
-    for (size_t i = 0; e == ERR_OK && i < scene->object_count; i++) {
-        const struct scene_object *o = &scene->objects[i];
-        struct mesh_use *use = o->type == SCENE_OBJECT_MESH ? &uses[o->mesh] : NULL;
-        e = build_object(rs, scene, o, use, &rs->objects[i]);
-    }
-    rs->object_count = scene->object_count;
+    enum err e = uses && rs->meshes && rs->objects ? build_all(rs, scene, uses) : ERR_NOMEM;
     mem_free(uses);
     return e;
 }

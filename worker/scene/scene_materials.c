@@ -2,6 +2,8 @@
  * folded in. Owns the bounds on roughness; memory is the scene's arena. One thread. */
 #include "worker/scene/scene_parts.h"
 
+#include "common/scene_plan.h"
+
 /* Sheen finer than this is a line. */
 static const double SHEEN_ALPHA_MIN = 1e-2;
 
@@ -143,11 +145,16 @@ enum err scene_build_materials(struct render_scene *rs, const struct scene *scen
         rs->material_count = scene->material_count + 1;
         for (size_t i = 0; i < scene->material_count; i++)
             make_material(scene, &scene->materials[i], &rs->materials[i]);
+        for (size_t i = 0; i < scene->material_count; i++) {
+            uint32_t number = scene->materials[i].number;
+            rs->materials[i].number = number == SCENE_NONE ? (uint32_t)i : number;
+        }
         for (size_t i = 0; i < scene->material_count; i++)
             rs->materials[i].needs_uv |= aov_has(rs->spec.aov, AOV_UV);
         for (size_t i = 0; i < scene->object_count; i++) {
             uint32_t material = scene->objects[i].material;
-            rs->has_alpha |= material != SCENE_NONE && rs->materials[material].has_alpha;
+            rs->has_alpha |= material != SCENE_NONE && rs->materials[material].has_alpha &&
+                             !scene_object_is_nothing(scene, &scene->objects[i]);
         }
         rs->materials[scene->material_count] =
             (struct material){.type = SCENE_MATERIAL_BLACK,

@@ -1,0 +1,98 @@
+/* How much memory a scene takes in a worker, by what its plan keeps. Owns the bytes that trees and
+ * tables were measured to take; no state, any thread. */
+#include "common/scene_plan.h"
+
+/* Of the wide tree: blocks of four triangles at 160 bytes, seldom full, and their nodes. Measured
+ * on the models of docs/SPECIALISE.md. */
+static const double TREE_BYTES_PER_TRIANGLE = 55;
+
+/* A light's row in the table, with its place in the distribution; the sky's per texel. */
+enum { LIGHT_BYTES = 344, SKY_BYTES_PER_TEXEL = 8, SKY_WIDTH_MAX = 2048 };
+
+/* What tables are cut from comes in blocks of this; rows of them. */
+enum { BLOCK_BYTES = 1 << 18, OBJECT_BYTES = 480, MATERIAL_BYTES = 832, TEXTURE_BYTES = 176 };
+
+static bool object_emits(const struct scene *s, const struct scene_object *o)
+{
+    const double *e = o->material == SCENE_NONE ? NULL : s->materials[o->material].emission;
+    return o->emits || (e && (e[0] > 0 || e[1] > 0 || e[2] > 0));
+}
+
+static bool is_instanced(const struct scene *s, const struct scene_plan *p,
+                         const struct scene_object *o)
+{
+    return p->meshes[o->mesh].uses > 1 && !object_emits(s, o) &&
+           s->meshes[o->mesh].triangle_count >= SCENE_INSTANCE_TRIANGLES_MIN;
+}
+
+static uint64_t image_bytes(const struct scene_image *image, unsigned read)
+{
+    uint64_t channels = image->channel_count;
+    if (channels == 4 && !(read & SCENE_CHANNEL_A))
+        channels = 3;
+    if (channels == 3 && (read & (read - 1)) == 0)
+        channels = 1;
+    return (uint64_t)image->width * image->height * channels *
+           (image->format == SCENE_IMAGE_F32 ? sizeof(float) : 1);
+}
+
+/* Positions, normals and indices of one placement of a mesh. */
+static uint64_t placed_bytes(const struct scene_mesh *m)
+{
+    return m->vertex_count * (m->normals ? UINT64_C(24) : UINT64_C(12)) +
+           m->triangle_count * UINT64_C(12);
+}
+
+static void add_objects(const struct scene *s, const struct scene_plan *p,
+                        struct scene_plan_memory *out)
+{
+    for (size_t i = 0; i < s->object_count; i++) {
+        const struct scene_object *o = &s->objects[i];
+        if (!p->objects[i])
+            continue;
+        bool mesh = o->type == SCENE_OBJECT_MESH;
+        if (object_emits(s, o))
+            out->lights += LIGHT_BYTES * (mesh ? s->meshes[o->mesh].triangle_count : UINT64_C(1));
+        if (!mesh || is_instanced(s, p, o))
+            continue;
+        out->triangles += s->meshes[o->mesh].triangle_count;
+        out->geometry += placed_bytes(&s->meshes[o->mesh]);
+    }
+}
+
+static void add_meshes(const struct scene *s, const struct scene_plan *p,
+                       struct scene_plan_memory *out)
+{
+    for (size_t i = 0; i < s->mesh_count; i++) {
+        const struct scene_mesh *m = &s->meshes[i];
+        if (p->meshes[i].uvs)
+            out->geometry += m->vertex_count * UINT64_C(8);
+        if (p->meshes[i].uses < 2 || m->triangle_count < SCENE_INSTANCE_TRIANGLES_MIN)
+            continue;
+        out->triangles += m->triangle_count;
+        out->geometry += placed_bytes(m);
+    }
+}
+
+struct scene_plan_memory scene_plan_memory(const struct scene *scene, const struct scene_plan *p)
+{
+    struct scene_plan_memory out = {0};
+    add_objects(scene, p, &out);
+    add_meshes(scene, p, &out);
+    for (size_t i = 0; i < scene->image_count; i++)
+        out.images += p->channels[i] ? image_bytes(&scene->images[i], p->channels[i]) : 0;
+    out.lights += scene->light_count * LIGHT_BYTES;
+    const struct scene_texture *sky =
+        scene->envmap.texture == SCENE_NONE ? NULL : &scene->textures[scene->envmap.texture];
+    if (sky && sky->type == SCENE_TEXTURE_IMAGE) {
+        const struct scene_image *image = &scene->images[sky->image];
+        uint64_t width = image->width < SKY_WIDTH_MAX ? image->width : SKY_WIDTH_MAX;
+        out.lights += width * width / 2 * SKY_BYTES_PER_TEXEL;
+    }
+    out.tree = (uint64_t)((double)out.triangles * TREE_BYTES_PER_TRIANGLE);
+    uint64_t rows = OBJECT_BYTES * scene->object_count + MATERIAL_BYTES * scene->material_count +
+                    TEXTURE_BYTES * scene->texture_count;
+    uint64_t tables = rows + out.geometry + out.images + out.lights;
+    out.total = out.tree + (tables > BLOCK_BYTES ? tables : BLOCK_BYTES);
+    return out;
+}
