@@ -19,6 +19,7 @@
 #define CLI_COMMANDS(X)                                                                            \
     X(RENDER, "render", "here", "SCENE -o OUT.exr [options]", 1, 1, "render here")                 \
     X(EXPLAIN, "explain", "here", "SCENE [--json]", 1, 1, "what a scene needs and leaves out")     \
+    X(DOCTOR, "doctor", "here", "SCENE [--json]", 1, 1, "what in a scene may hurt its picture")    \
     X(TRADEOFF, "tradeoff", "here", "SCENE -o DIR [options]", 1, 1,                                \
       "speed against accuracy, measured")                                                          \
     X(IMPORT, "import", "here", "MODEL -o scene.json", 1, 1, "make a scene from a model")          \

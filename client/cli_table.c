@@ -24,6 +24,9 @@ static const char *const render_examples =
     "  tilery render cornell.json -o out.exr --png out.png\n"
     "  tilery render car.json -o car.exr --spp 256 --workers 4\n"
     "  tilery render car.json -o eye.exr --crop 100,80,64,64    a detail, same bits\n";
+static const char *const doctor_examples =
+    "  tilery doctor scene.json          counts, places and advice\n"
+    "  tilery doctor bunny.ply --json    the same for programs\n";
 static const char *const submit_examples =
     "  tilery submit scene.json --name spot            prints the job's id\n"
     "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n";
@@ -48,6 +51,7 @@ const struct cli_command cli_commands[CLI_COMMAND_COUNT] = {
                   .argument_max = max_,                                                            \
                   .examples = CLI_##id == CLI_RENDER     ? render_examples                         \
                               : CLI_##id == CLI_SUBMIT   ? submit_examples                         \
+                              : CLI_##id == CLI_DOCTOR   ? doctor_examples                         \
                               : CLI_##id == CLI_TRADEOFF ? tradeoff_examples                       \
                               : CLI_##id == CLI_COMPARE  ? compare_examples                        \
                               : CLI_##id == CLI_GET      ? get_examples                            \

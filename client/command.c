@@ -8,15 +8,16 @@
 int command_run(struct cli *cli)
 {
     static int (*const commands[CLI_COMMAND_COUNT])(struct cli *) = {
-        [CLI_RENDER] = command_render,     [CLI_EXPLAIN] = command_explain,
-        [CLI_TRADEOFF] = command_tradeoff, [CLI_IMPORT] = command_import,
-        [CLI_COMPARE] = command_compare,   [CLI_SUBMIT] = command_submit,
-        [CLI_JOBS] = command_jobs,         [CLI_STATUS] = command_status,
-        [CLI_WATCH] = command_watch,       [CLI_GET] = command_get,
-        [CLI_PAUSE] = command_pause,       [CLI_RESUME] = command_resume,
-        [CLI_CANCEL] = command_cancel,     [CLI_RETRY] = command_retry,
-        [CLI_PRIORITY] = command_priority, [CLI_WORKERS] = command_workers,
-        [CLI_DRAIN] = command_drain,       [CLI_HELP] = command_help,
+        [CLI_RENDER] = command_render,   [CLI_EXPLAIN] = command_explain,
+        [CLI_DOCTOR] = command_doctor,   [CLI_TRADEOFF] = command_tradeoff,
+        [CLI_IMPORT] = command_import,   [CLI_COMPARE] = command_compare,
+        [CLI_SUBMIT] = command_submit,   [CLI_JOBS] = command_jobs,
+        [CLI_STATUS] = command_status,   [CLI_WATCH] = command_watch,
+        [CLI_GET] = command_get,         [CLI_PAUSE] = command_pause,
+        [CLI_RESUME] = command_resume,   [CLI_CANCEL] = command_cancel,
+        [CLI_RETRY] = command_retry,     [CLI_PRIORITY] = command_priority,
+        [CLI_WORKERS] = command_workers, [CLI_DRAIN] = command_drain,
+        [CLI_HELP] = command_help,
     };
     return commands[cli->line.command](cli);
 }

@@ -24,6 +24,7 @@ int command_progress_mode(const struct cli *cli);
 
 int command_render(struct cli *cli);
 int command_explain(struct cli *cli);
+int command_doctor(struct cli *cli);
 int command_tradeoff(struct cli *cli);
 int command_import(struct cli *cli);
 int command_compare(struct cli *cli);

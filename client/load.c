@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "client/cli.h"
+#include "client/doctor.h"
 #include "client/import.h"
 #include "common/mem.h"
 #include "common/scene_json.h"
@@ -133,6 +134,12 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
         return;
     }
     load->has_scene = true;
+    if (doctor_warn_precision(&load->scene, &load->problems) != ERR_OK) {
+        load->status = EXIT_MACHINE;
+        load->trouble = ERR_NOMEM;
+        drop_scene(load);
+        return;
+    }
     apply_options(load, line);
     if (!options_fit(load, line))
         load->status = EXIT_USAGE;

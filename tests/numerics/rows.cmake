@@ -34,3 +34,17 @@ numerics_program(test_rows_watertight LINKS tl_render Threads::Threads
   SOURCES ${numerics_dir}/test_rows_watertight.c ${numerics_dir}/closed_mesh.c ${numerics_kit}
   ROWS test_t05_leaks test_t06_lattice test_t07_boxes test_t07_kernels test_t07_no_rays
        test_t08_needles)
+
+# Rows through the programs: numerics_pytest(FILE ROW...) runs the functions whose names begin so.
+function(numerics_pytest file)
+  foreach(row ${ARGN})
+    tilery_script_test(${row} LABEL numerics TIMEOUT 600
+      COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider ${numerics_dir}/${file} -k ${row})
+  endforeach()
+endfunction()
+
+if(TARGET tilery AND TARGET tilery-master AND TARGET tilery-worker)
+  tilery_script_test(numerics_doctor LABEL numerics TIMEOUT 300
+    COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider
+            ${numerics_dir}/test_numerics_doctor.py)
+endif()

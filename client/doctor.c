@@ -1,0 +1,324 @@
+#include "client/doctor.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "client/doctor_mesh.h"
+#include "client/doctor_scene.h"
+#include "common/mem.h"
+
+/* --- Findings --------------------------------------------------------------- */
+
+static void print_into(char out[DOCTOR_TEXT_BYTES], const char *format, va_list arguments)
+{
+    (void)vsnprintf(out, DOCTOR_TEXT_BYTES, format, arguments);
+}
+
+struct doctor_finding *doctor_add(struct doctor_visit *v, const char *id, uint64_t count,
+                                  const char *advice, const char *format, ...)
+{
+    struct doctor *d = v->out;
+    va_list arguments;
+    if (!mem_grow((void **)&d->findings, d->count, &d->capacity, sizeof *d->findings)) {
+        v->out_of_memory = true;
+        return NULL;
+    }
+    struct doctor_finding *f = &d->findings[d->count++];
+    *f = (struct doctor_finding){
+        .id = id, .count = count, .object = SCENE_NONE, .triangle = SCENE_NONE};
+    va_start(arguments, format);
+    print_into(f->text, format, arguments);
+    va_end(arguments);
+    (void)snprintf(f->advice, sizeof f->advice, "%s", advice);
+    return f;
+}
+
+static void to_world(const struct scene_object *o, const double p[3], double out[3])
+{
+    for (size_t r = 0; r < 3; r++) {
+        const double *m = o->transform + 4 * r;
+        out[r] = m[0] * p[0] + m[1] * p[1] + m[2] * p[2] + m[3];
+    }
+}
+
+/* Says that a finding is of an object, first at a triangle (or SCENE_NONE). */
+static void place(const struct doctor_visit *v, struct doctor_finding *f, uint32_t object,
+                  uint32_t triangle)
+{
+    if (!f)
+        return;
+    const struct scene_object *o = &v->scene->objects[object];
+    const struct scene_mesh *m = o->type == SCENE_OBJECT_MESH ? &v->scene->meshes[o->mesh] : NULL;
+    f->object = object;
+    f->triangle = triangle;
+    int at = snprintf(f->where, sizeof f->where, "objects[%u]%s%.120s%s", object, m ? " (" : "",
+                      m ? m->name : "", m ? ")" : "");
+    if (!m || triangle == SCENE_NONE)
+        return;
+    double middle[3] = {0, 0, 0};
+    for (size_t i = 0; i < 3; i++)
+        for (size_t k = 0; k < 3; k++)
+            middle[k] += m->positions[3 * (size_t)m->indices[3 * (size_t)triangle + i] + k] / 3;
+    to_world(o, middle, f->at);
+    f->placed = true;
+    (void)snprintf(f->where + at, sizeof f->where - (size_t)at,
+                   ", triangle %u at (%.6g, %.6g, %.6g)", triangle, f->at[0], f->at[1], f->at[2]);
+}
+
+/* --- One mesh ----------------------------------------------------------------- */
+
+/* What is the same wherever the mesh stands; reported at the first object that shows it. */
+static void judge_shape(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+{
+    const struct scene_mesh *mesh = &v->scene->meshes[v->scene->objects[object].mesh];
+    uint32_t all = mesh->triangle_count;
+    if (doctor_mesh_is_coarse(m))
+        place(v,
+              doctor_add(v, "far-from-origin", mesh->vertex_count, DOCTOR_FAR_ADVICE,
+                         DOCTOR_FAR_TEXT, m->step, m->reach, m->edge_median,
+                         m->edge_median / m->step),
+              object, SCENE_NONE);
+    if (m->flat.count)
+        place(v,
+              doctor_add(v, "flat-triangles", m->flat.count,
+                         "they are never hit and cost little; a cleaning step of the modeller "
+                         "(merge by distance, dissolve degenerate) removes them",
+                         "%llu of %u triangles have no area", (unsigned long long)m->flat.count,
+                         all),
+              object, m->flat.first);
+    if (m->needles.count)
+        place(v,
+              doctor_add(v, "needle-triangles", m->needles.count,
+                         "hits stay exact, but shading normals across such a triangle mean "
+                         "little and trees are slower; remesh or triangulate by shape",
+                         "%llu of %u triangles are over %.0f times longer than high, the worst "
+                         "%.3g times",
+                         (unsigned long long)m->needles.count, all, DOCTOR_NEEDLE_ASPECT,
+                         m->aspect_max),
+              object, m->needles.first);
+    if (m->duplicates.count)
+        place(v,
+              doctor_add(v, "duplicate-triangles", m->duplicates.count,
+                         "the one with the lowest number is seen; glass counts each of them, so "
+                         "remove the doubles",
+                         "%llu of %u triangles have the very corners of another",
+                         (unsigned long long)m->duplicates.count, all),
+              object, m->duplicates.first);
+    if (m->turned.count)
+        place(v,
+              doctor_add(v, "mixed-winding", m->turned.count,
+                         "one-sided materials are black and lamps dark on one of the two; "
+                         "recalculate the normals, or set \"twosided\"",
+                         "along %llu edges two triangles face opposite ways",
+                         (unsigned long long)m->turned.count),
+              object, m->turned.first);
+    if (m->against.count)
+        place(v,
+              doctor_add(v, "normals-disagree", m->against.count,
+                         "shading jumps there: recalculate the vertex normals, or split them at "
+                         "sharp edges",
+                         "%llu of %u triangles have vertex normals on both of their sides",
+                         (unsigned long long)m->against.count, all),
+              object, m->against.first);
+}
+
+/* --- One object ------------------------------------------------------------------ */
+
+/* How much the transform lengthens, and whether it mirrors. */
+static double size_of(const struct scene_object *o, bool *mirrors)
+{
+    const double *m = o->transform;
+    double det = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) +
+                 m[2] * (m[4] * m[9] - m[5] * m[8]);
+    *mirrors = det < 0;
+    return cbrt(fabs(det));
+}
+
+static void world_box(const struct scene_object *o, const struct doctor_mesh *m, double low[3],
+                      double high[3])
+{
+    for (int corner = 0; corner < 8; corner++) {
+        double p[3], q[3];
+        for (int k = 0; k < 3; k++)
+            p[k] = corner >> k & 1 ? m->high[k] : m->low[k];
+        to_world(o, p, q);
+        for (int k = 0; k < 3; k++) {
+            low[k] = corner == 0 ? q[k] : fmin(low[k], q[k]);
+            high[k] = corner == 0 ? q[k] : fmax(high[k], q[k]);
+        }
+    }
+}
+
+/* Edges beside the two steps that the world gives them: double's own at that distance, and that
+ * of the floats around the scene's centre in which the tracer holds vertices. */
+static void judge_steps(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+{
+    const double double_steps = 1e4, float_steps = 1e3;
+    const struct scene_object *o = &v->scene->objects[object];
+    bool mirrors;
+    double low[3], high[3], reach = 0, edge = m->edge_median * size_of(o, &mirrors);
+    world_box(o, m, low, high);
+    for (int k = 0; k < 3; k++)
+        reach = fmax(reach, fmax(fabs(low[k]), fabs(high[k])));
+    double step = reach * 0x1p-53;
+    if (edge > 0 && edge < double_steps * step)
+        place(v,
+              doctor_add(v, "far-in-world", 1,
+                         "move the whole scene, camera and lights, towards the origin",
+                         "at %.3g from the world's origin even doubles come in steps of %.2g, and "
+                         "half of the edges are shorter than about %.2g",
+                         reach, step, edge),
+              object, SCENE_NONE);
+    bool instanced = v->uses[o->mesh] > 1 &&
+                     v->scene->meshes[o->mesh].triangle_count >= DOCTOR_INSTANCE_TRIANGLES;
+    if (edge > 0 && edge < float_steps * v->step && !instanced)
+        place(v,
+              doctor_add(v, "coarse-beside-scene", 1,
+                         "make what is largest (a ground, a sky dome) smaller, or use an "
+                         "environment_map for what is far",
+                         "half of the edges are shorter than about %.2g, and a scene %.3g across "
+                         "is held in steps of %.2g",
+                         edge, v->extent, v->step),
+              object, SCENE_NONE);
+}
+
+static bool is_glass(const struct scene_material *m)
+{
+    return m->type == SCENE_MATERIAL_REFRACTION || m->type == SCENE_MATERIAL_GLASS ||
+           m->type == SCENE_MATERIAL_ROUGH_DIELECTRIC ||
+           (m->type == SCENE_MATERIAL_PRINCIPLED && m->transmission > 0);
+}
+
+static bool holds_camera(const struct scene *s, const double low[3], const double high[3])
+{
+    bool inside = true;
+    for (int k = 0; k < 3; k++)
+        inside = inside && s->camera.position[k] >= low[k] && s->camera.position[k] <= high[k];
+    return inside;
+}
+
+/* What sides mean to the object's material. */
+static void judge_sides(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+{
+    const struct scene *s = v->scene;
+    const struct scene_object *o = &s->objects[object];
+    const struct scene_material *material =
+        o->material == SCENE_NONE ? NULL : &s->materials[o->material];
+    bool glass = material && is_glass(material), mirrors;
+    if (glass && !m->closed)
+        place(v,
+              doctor_add(v, "open-glass", m->open_edges.count,
+                         "light that enters never leaves as it should: close the mesh, give it "
+                         "thickness, or use eta 1",
+                         "%.60s is a medium with an inside, but %llu edges of the mesh are open",
+                         material->name, (unsigned long long)m->open_edges.count),
+              object, m->open_edges.count ? m->open_edges.first : m->fans.first);
+    double low[3], high[3];
+    (void)size_of(o, &mirrors);
+    world_box(o, m, low, high);
+    /* Where there are vertex normals the winding follows them, mirrored or not. */
+    bool inward = (m->volume_signed < 0) != (mirrors && !s->meshes[o->mesh].normals);
+    bool matters = glass || o->emits ||
+                   (material && material->type == SCENE_MATERIAL_DIFFUSE && !material->twosided &&
+                    !holds_camera(s, low, high));
+    if (m->closed && !m->turned.count && !m->fans.count && inward && matters)
+        place(v,
+              doctor_add(v, "inside-out", s->meshes[o->mesh].triangle_count,
+                         glass ? "glass and air change places: flip the normals"
+                         : o->emits
+                             ? "it lights its inside only: flip the normals"
+                             : "it is black from outside: flip the normals, or set \"twosided\"",
+                         "the mesh is closed and all its normals point inward"),
+              object, SCENE_NONE);
+}
+
+static void judge_object(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+{
+    judge_steps(v, object, m);
+    judge_sides(v, object, m);
+}
+
+/* --- All ------------------------------------------------------------------------- */
+
+static enum err visit_meshes(struct doctor_visit *v, struct doctor_mesh *meshes)
+{
+    const struct scene *s = v->scene;
+    for (uint32_t i = 0; i < s->object_count; i++) {
+        const struct scene_object *o = &s->objects[i];
+        if (o->type == SCENE_OBJECT_MESH && v->uses[o->mesh]++ == 0) {
+            TL_TRY(doctor_mesh_examine(&s->meshes[o->mesh], &meshes[o->mesh]));
+            v->out->meshes++;
+            v->out->triangles += s->meshes[o->mesh].triangle_count;
+            judge_shape(v, i, &meshes[o->mesh]);
+        }
+    }
+    return ERR_OK;
+}
+
+/* The box around everything, and the float step in it (worker/scene: scaled by a power of two, so
+ * that half the largest extent is in [0.5, 1)). */
+static void measure_scene(struct doctor_visit *v, const struct doctor_mesh *meshes)
+{
+    double low[3] = {DBL_MAX, DBL_MAX, DBL_MAX}, high[3] = {-DBL_MAX, -DBL_MAX, -DBL_MAX};
+    for (uint32_t i = 0; i < v->scene->object_count; i++) {
+        const struct scene_object *o = &v->scene->objects[i];
+        double l[3], h[3];
+        for (int k = 0; k < 3; k++) {
+            l[k] = o->center[k] - o->radius;
+            h[k] = o->center[k] + o->radius;
+        }
+        if (o->type == SCENE_OBJECT_MESH)
+            world_box(o, &meshes[o->mesh], l, h);
+        for (int k = 0; k < 3; k++) {
+            low[k] = fmin(low[k], l[k]);
+            high[k] = fmax(high[k], h[k]);
+        }
+    }
+    for (int k = 0; k < 3 && v->scene->object_count; k++)
+        v->extent = fmax(v->extent, high[k] - low[k]);
+    int exponent;
+    (void)frexp(0.5 * v->extent, &exponent);
+    v->step = v->extent > 0 ? ldexp(1, exponent - 24) : 0;
+}
+
+enum err doctor_examine(const struct scene *s, const struct diag_list *loaded, struct doctor *out)
+{
+    struct doctor_visit v = {.scene = s, .out = out};
+    struct doctor_mesh *meshes = mem_calloc(s->mesh_count + 1, sizeof *meshes);
+    *out = (struct doctor){0};
+    v.uses = mem_calloc(s->mesh_count + 1, sizeof *v.uses);
+    enum err e = meshes && v.uses ? visit_meshes(&v, meshes) : ERR_NOMEM;
+    if (e == ERR_OK) {
+        measure_scene(&v, meshes);
+        for (uint32_t i = 0; i < s->object_count; i++)
+            if (s->objects[i].type == SCENE_OBJECT_MESH)
+                judge_object(&v, i, &meshes[s->objects[i].mesh]);
+        e = doctor_judge_scene(&v, loaded);
+    }
+    mem_free(v.uses);
+    mem_free(meshes);
+    return v.out_of_memory ? ERR_NOMEM : e;
+}
+
+void doctor_release(struct doctor *d)
+{
+    mem_free(d->findings);
+    *d = (struct doctor){0};
+}
+
+enum err doctor_warn_precision(const struct scene *s, struct diag_list *problems)
+{
+    for (size_t i = 0; i < s->mesh_count; i++) {
+        struct doctor_mesh m;
+        TL_TRY(doctor_mesh_measure(&s->meshes[i], &m));
+        if (doctor_mesh_is_coarse(&m))
+            diag_add(problems, DIAG_WARNING, (struct diag_place){.file = s->meshes[i].name},
+                     "far-from-origin", DOCTOR_FAR_ADVICE, DOCTOR_FAR_TEXT, m.step, m.reach,
+                     m.edge_median, m.edge_median / m.step);
+    }
+    return ERR_OK;
+}
