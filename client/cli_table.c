@@ -348,6 +348,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                     .argument = "SECONDS",
                     .section = "until",
                     .commands = BIT(TRADEOFF),
+                    .built = true,
                     .low = 1,
                     .high = 1e6,
                     .help = "how long the whole study may take (60)"},

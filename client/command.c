@@ -22,14 +22,6 @@ int command_run(struct cli *cli)
     return commands[cli->line.command](cli);
 }
 
-int command_tradeoff(struct cli *cli)
-{
-    (void)cli;
-    cli_error("not-built", "compare two renders: tilery compare A.exr B.exr",
-              "tradeoff is not built yet");
-    return EXIT_USAGE;
-}
-
 static int unknown_topic(const char *topic)
 {
     const char *nearest = cli_command_nearest(topic);

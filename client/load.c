@@ -140,6 +140,7 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
         drop_scene(load);
         return;
     }
+    load->scene_spec = load->spec;
     apply_options(load, line);
     if (!options_fit(load, line))
         load->status = EXIT_USAGE;
@@ -149,6 +150,24 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
         make_package(load);
     if (!keep_scene)
         drop_scene(load);
+}
+
+int load_respec(struct load *load, const struct cli_line *line)
+{
+    diag_release(&load->problems);
+    diag_init(&load->problems);
+    load->spec = load->scene_spec;
+    apply_options(load, line);
+    if (!options_fit(load, line))
+        return load->status = EXIT_USAGE;
+    char *json = job_spec_to_json(&load->spec);
+    if (!json) {
+        load->trouble = ERR_NOMEM;
+        return load->status = EXIT_MACHINE;
+    }
+    mem_free(load->spec_json);
+    load->spec_json = json;
+    return load->status = EXIT_DONE;
 }
 
 void load_drop_package(struct load *load)

@@ -13,6 +13,7 @@
 struct load {
     struct scene scene;
     struct job_spec spec;
+    struct job_spec scene_spec; /* before the options */
     struct package package;
     char *spec_json;           /* owned */
     struct diag_list problems; /* errors and warnings, also after success */
@@ -24,6 +25,10 @@ struct load {
 /* Reads, applies the options, checks, and makes the package; the scene itself is dropped then
  * unless `keep_scene`. The result is in load->status and load->problems. */
 void load_scene(struct load *load, const struct cli_line *line, bool keep_scene);
+
+/* The same scene under another command line: spec and spec_json are made again. The exit status,
+ * also in load->status; problems are added. */
+int load_respec(struct load *load, const struct cli_line *line);
 
 /* Frees the package once it has been sent: a render goes on for hours beside it. */
 void load_drop_package(struct load *load);

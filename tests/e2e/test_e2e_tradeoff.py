@@ -1,11 +1,16 @@
 """Half floats and presets, and `tilery tradeoff`, which writes them."""
+import csv
+import html.parser
 import json
+import struct
+import xml.etree.ElementTree
 
 import numpy
 import pytest
 
 import exr_pixels
-from farm import GLASS_SCENE, SEED_SCENE, Farm, tilery
+from farm import (GLASS_SCENE, SEED_SCENE, SLOW, Farm, alive, children_of, interrupt,
+                  start_tilery, tilery)
 
 SMALL = ("--size", "32x32", "--spp", "4")
 
@@ -93,3 +98,145 @@ def test_preset(tmp_path):
     assert "did you mean max-depth?" in done.stderr and "2 problems" in done.stderr
     done = tilery("render", GLASS_SCENE, "-o", by_file, "--preset", tmp_path / "none")
     assert done.returncode == 3 and "[bad-preset]" in done.stderr
+
+
+# --- the study --------------------------------------------------------------
+
+def study_of(folder):
+    return json.loads((folder / "tradeoff.json").read_text())
+
+
+class Page(html.parser.HTMLParser):
+    """Checks that tags close in order; collects what the page refers to."""
+    VOID = {"meta", "img", "rect", "line", "circle", "path", "br", "link", "input"}
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.sources, self.images, self.text = [], [], 0, ""
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for key, value in attributes:
+            if key in ("src", "href", "data", "srcset"):
+                self.sources.append(value)
+        if tag == "img":
+            self.images += 1
+            assert dict(attributes)["alt"]
+
+    def handle_startendtag(self, tag, attributes):
+        assert tag in self.VOID, tag
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open.pop() == tag, tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_study(tmp_path):
+    """A small budget: every file is there and they agree; the page needs nothing from elsewhere."""
+    out = tmp_path / "study"
+    done = tilery("tradeoff", GLASS_SCENE, "-o", out, "--budget", 6 * SLOW, "--max-depth", 8,
+                  timeout=120)
+    assert done.returncode == 0, done.stderr
+    got = study_of(out)
+    assert got["tilery_tradeoff"] == 1 and got["reduced"] and not got["interrupted"]
+    assert "smaller than the scene's" in done.stderr
+    base = [p for p in got["points"] if p["base"]]
+    assert len(base) == 1 and base[0]["repeats"] >= 2
+    measured = [p for p in got["points"] if p["repeats"] >= 2]
+    assert {"spp", "max-depth"} <= {p["knob"] for p in measured}
+    for p in measured:
+        assert p["relmse"]["low"] is None or p["relmse"]["low"] <= p["relmse"]["value"]
+        assert p["core_seconds"]["value"] > 0 and len(p["runs"]) == p["repeats"]
+    # More samples, less error: over a ladder of 16 times no machine hides that.
+    ladder = sorted((p["spp"], p["relmse"]["value"]) for p in measured if p["knob"] == "spp")
+    assert len(ladder) >= 2 and ladder[0][1] > 1.5 * ladder[-1][1] > 0
+    # Direct light alone is far from the truth, and is said to be biased.
+    one = [p for p in measured if p["knob"] == "max-depth" and p["value"] == "1"]
+    assert one and one[0]["bias2"] > 2 * one[0]["bias2_se"] and one[0]["bias2"] > 0.01
+    # Cells change no bit.
+    for p in measured:
+        if p["knob"] in ("tile", "builder"):
+            assert p["same_bits"], p
+    rows = list(csv.DictReader((out / "tradeoff.csv").open()))
+    assert len(rows) == len([p for p in got["points"] if p["repeats"]])
+    assert {r["knob"] for r in rows} == {p["knob"] for p in got["points"] if p["repeats"]}
+    page = Page()
+    page.feed((out / "index.html").read_text())
+    assert page.open == [] and page.images > 4
+    assert all(s.startswith("data:image/png;base64,") for s in page.sources), page.sources[:3]
+    assert "Recommended settings" in page.text and "@import" not in page.text
+    svg = xml.etree.ElementTree.parse(out / "tradeoff.svg").getroot()
+    assert svg.tag.endswith("svg")
+    png = (out / "tradeoff.png").read_bytes()
+    assert png[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", png[16:24]) == (1100, 700)
+    check_presets(tmp_path, out, got)
+
+
+def check_presets(tmp_path, out, got):
+    """A recommendation is a preset that render takes, and says what the JSON says."""
+    assert [p["name"] for p in got["presets"]] == ["draft", "standard", "final"]
+    for preset in got["presets"]:
+        lines = dict(line.split(" = ") for line in (out / preset["file"]).read_text().splitlines()
+                     if not line.startswith("#"))
+        assert lines.pop("half", "false") == str(preset["half"]).lower()
+        assert lines == preset["options"]
+    spp = [int(p["options"]["spp"]) for p in got["presets"]]
+    assert spp == sorted(spp)
+    report = tmp_path / "r.json"
+    done = tilery("render", GLASS_SCENE, "-o", tmp_path / "draft.exr", "--size", "32x32",
+                  "--preset", out / "draft.preset", "--report", report)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(report.read_text())["spp_max"] == spp[0]
+
+
+def test_study_interrupted(tmp_path):
+    """Ctrl-C: 130, no process left, and what was measured is written."""
+    out = tmp_path / "study"
+    process = start_tilery("tradeoff", GLASS_SCENE, "-o", out, "--size", "24x24", "--budget", 12 * SLOW,
+                           "--progress", "lines")
+    seen = ""
+    while "references are there" not in seen:
+        line = process.stderr.readline()
+        assert line, f"it ended: {seen}"
+        seen += line
+    children = children_of(process.pid)
+    assert len(children) == 2
+    interrupt(process)
+    rest = process.communicate(timeout=30 * SLOW)[1]
+    assert process.returncode == 130, rest
+    assert not any(alive(pid) for pid in children)
+    if (out / "tradeoff.json").exists():
+        got = study_of(out)
+        assert got["interrupted"] and got["points"]
+        assert "interrupted" in (out / "index.html").read_text()
+
+
+def test_study_refusals(tmp_path):
+    """What cannot be studied is refused at once, by name."""
+    done = tilery("tradeoff", GLASS_SCENE)
+    assert done.returncode == 2 and "-o DIR" in done.stderr
+    done = tilery("tradeoff", GLASS_SCENE, "-o", tmp_path / "s", "--size", "4000x4000")
+    assert done.returncode == 2 and "262144" in done.stderr
+    done = tilery("tradeoff", tmp_path / "none.json", "-o", tmp_path / "s")
+    assert done.returncode == 3
+    (tmp_path / "file").write_text("x")
+    done = tilery("tradeoff", GLASS_SCENE, "-o", tmp_path / "file")
+    assert done.returncode == 5 and "file" in done.stderr
+    done = tilery("tradeoff", GLASS_SCENE, "-o", tmp_path / "s", "--spp", "4")
+    assert done.returncode == 2 and "--spp" in done.stderr
+
+
+def test_study_on_a_farm(tmp_path):
+    """--master measures on that farm, and leaves nothing running there."""
+    with Farm(tmp_path) as farm:
+        farm.worker(threads=1)
+        done = farm.cli("tradeoff", SEED_SCENE, "-o", tmp_path / "study", "--size", "16x16",
+                        "--budget", 4 * SLOW, "--master", farm.url, timeout=120)
+        assert done.returncode == 0, done.stderr
+        assert study_of(tmp_path / "study")["cost"] == "reported"
+        status, jobs = farm.request("GET", "/api/v1/jobs?limit=1000")
+        assert status == 200 and jobs["items"]
+        assert {j["state"] for j in jobs["items"]} <= {"done", "cancelled"}
