@@ -29,7 +29,8 @@ static const char *const doctor_examples =
     "  tilery doctor bunny.ply --json    the same for programs\n";
 static const char *const submit_examples =
     "  tilery submit scene.json --name spot            prints the job's id\n"
-    "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n";
+    "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n"
+    "  tilery submit shot.####.json --frames 1-24      an animation, one job\n";
 static const char *const tradeoff_examples =
     "  tilery tradeoff scene.json -o study               then open study/index.html\n"
     "  tilery tradeoff scene.json -o study --budget 600  narrower intervals\n"
@@ -39,7 +40,9 @@ static const char *const compare_examples =
     "  tilery compare a.exr b.exr --identical          exit 1 unless all bits are\n"
     "  tilery compare a.exr b.exr --max-relmse 0.001   exit 1 if it is over\n";
 static const char *const get_examples = "  tilery get j42 -o out.exr\n"
-                                        "  tilery get j42 -o out.png\n";
+                                        "  tilery get j42 -o out.png\n"
+                                        "  tilery get j43 -o out.####.exr           every frame\n"
+                                        "  tilery get j43 --frame 7 -o seven.exr    one of them\n";
 
 const struct cli_command cli_commands[CLI_COMMAND_COUNT] = {
 #define CLI_COMMAND_ROW(id, name_, section_, arguments_, min_, max_, summary_)                     \
@@ -288,15 +291,18 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                     .argument = "A-B",
                     .section = "job",
                     .commands = BIT(SUBMIT),
-                    .help = "one picture a frame"},
+                    .built = true,
+                    .help = "one picture a frame: #### in SCENE and in -o is its number"},
     [CLI_FRAME] = {.name = "frame",
                    .kind = CLI_COUNT,
                    .argument = "N",
                    .section = "job",
-                   .commands = BIT(GET),
+                   .commands = BIT(GET) | BIT(STATUS) | BIT(WATCH) | BIT(PAUSE) | BIT(RESUME) |
+                               BIT(CANCEL) | BIT(RETRY) | BIT(PRIORITY),
+                   .built = true,
                    .low = 0,
                    .high = 4294967295.0,
-                   .help = "which frame of a job with frames"},
+                   .help = "this frame alone of a shot (all of them)"},
     [CLI_WAIT] = {.name = "wait",
                   .kind = CLI_FLAG,
                   .section = "job",

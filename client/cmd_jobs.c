@@ -1,4 +1,4 @@
-/* client/cmd_jobs.c: jobs, status, get and what changes a job. */
+/* client/cmd_jobs.c: jobs and status: what the farm has and how far it is. */
 #include <errno.h>
 #include <math.h>
 #include <string.h>
@@ -8,8 +8,8 @@
 #include "client/command.h"
 #include "client/farm_api.h"
 #include "client/human.h"
-#include "client/out_file.h"
 #include "client/report_text.h"
+#include "client/shot.h"
 #include "client/term.h"
 #include "client/text_table.h"
 
@@ -166,6 +166,25 @@ static void put_events(const struct json *job, struct buf *out)
     }
 }
 
+/* Of a shot: its frames by state, those that there are. */
+static void put_frames(const struct json *job, struct buf *out)
+{
+    static const char *const states[] = {"done",   "rendering", "queued",
+                                         "paused", "failed",    "cancelled"};
+    const struct json *frames = json_get_member(job, "frames");
+    bool any = false;
+    if (!frames || frames->type != JSON_OBJECT)
+        return;
+    buf_printf(out, "  frames   %.0f:", reply_number(frames, "total", 0));
+    for (size_t i = 0; i < sizeof states / sizeof *states; i++) {
+        double count = reply_number(frames, states[i], 0);
+        if (count > 0)
+            buf_printf(out, "%s %.0f %s", any ? "," : "", count, states[i]);
+        any |= count > 0;
+    }
+    buf_printf(out, "\n");
+}
+
 static bool print_status(const struct cli *cli, const struct farm *f, const struct json *job)
 {
     struct text_table table;
@@ -178,6 +197,7 @@ static bool print_status(const struct cli *cli, const struct farm *f, const stru
     buf_init(&out);
     buf_printf(&out, "\n");
     report_text(job, reply_text(job, "name", id), &out);
+    put_frames(job, &out);
     put_events(job, &out);
     buf_printf(&out, "page: %s/#%s\n", http_client_url(f->http), id);
     ok = ok && cli_put_buf(&out);
@@ -185,8 +205,7 @@ static bool print_status(const struct cli *cli, const struct farm *f, const stru
     return ok;
 }
 
-/* The reply's text as it came, on a line of its own. */
-static bool put_reply(const struct farm *f)
+bool command_put_reply(const struct farm *f)
 {
     return cli_put((const char *)f->reply.body.data, f->reply.body.bytes) && cli_put("\n", 1);
 }
@@ -195,15 +214,20 @@ int command_status(struct cli *cli)
 {
     struct farm farm;
     struct farm_json reply;
+    struct shot shot = {0};
     char path[FARM_PATH_BYTES];
     int status = farm_open(&farm, cli);
     if (status != EXIT_DONE)
         return status;
-    status = farm_job_path(cli->line.arguments[0], "", path);
+    if (cli_has(&cli->line, CLI_FRAME))
+        status = shot_find(&farm, cli, &shot);
+    if (status == EXIT_DONE)
+        status = farm_job_path(shot.count ? shot.frames[0].id : cli->line.arguments[0], "", path);
+    shot_release(&shot);
     if (status == EXIT_DONE)
         status = farm_call(&farm, "GET", path, NULL, &reply);
     if (status == EXIT_DONE) {
-        bool ok = cli->json ? put_reply(&farm) : print_status(cli, &farm, reply.json.root);
+        bool ok = cli->json ? command_put_reply(&farm) : print_status(cli, &farm, reply.json.root);
         status = ok ? EXIT_DONE : EXIT_MACHINE;
         farm_json_release(&reply);
     }
@@ -219,126 +243,9 @@ int command_patch(struct cli *cli, const char *path, const struct buf *body, con
         return status;
     status = farm_call(&farm, "PATCH", path, body, NULL);
     if (status == EXIT_DONE && cli->json)
-        status = put_reply(&farm) ? EXIT_DONE : EXIT_MACHINE;
+        status = command_put_reply(&farm) ? EXIT_DONE : EXIT_MACHINE;
     else if (status == EXIT_DONE)
         cli_say(cli, "%s %s", cli->line.arguments[0], said);
-    farm_release(&farm);
-    return status;
-}
-
-static int patch_job(struct cli *cli, const char *json, const char *said)
-{
-    char path[FARM_PATH_BYTES];
-    struct buf body;
-    int status = farm_job_path(cli->line.arguments[0], "", path);
-    if (status != EXIT_DONE)
-        return status;
-    buf_init(&body);
-    buf_printf(&body, "%s", json);
-    status = command_patch(cli, path, &body, said);
-    buf_release(&body);
-    return status;
-}
-
-int command_cancel(struct cli *cli)
-{
-    return patch_job(cli, "{\"state\":\"cancelled\"}", "is cancelled");
-}
-
-int command_pause(struct cli *cli)
-{
-    char said[FARM_ID_BYTES + 40];
-    (void)snprintf(said, sizeof said, "is paused; go on: tilery resume %s",
-                   cli_safe(cli->line.arguments[0]));
-    return patch_job(cli, "{\"state\":\"paused\"}", said);
-}
-
-/* Both resume and retry ask for the state "queued": this keeps the one from doing the other's. */
-static int queue_again(struct cli *cli, bool retry)
-{
-    struct farm farm;
-    struct farm_json reply;
-    char path[FARM_PATH_BYTES];
-    const char *id = cli->line.arguments[0];
-    int status = farm_open(&farm, cli);
-    if (status != EXIT_DONE)
-        return status;
-    status = farm_job_path(id, "", path);
-    if (status == EXIT_DONE)
-        status = farm_call(&farm, "GET", path, NULL, &reply);
-    if (status == EXIT_DONE) {
-        const char *state = reply_text(reply.json.root, "state", "");
-        bool paused = strcmp(state, "paused") == 0;
-        bool ended = strcmp(state, "failed") == 0 || strcmp(state, "cancelled") == 0;
-        if (retry ? !ended : !paused) {
-            cli_error("wrong-state", NULL, "%s is %s: there is nothing to %s", id, cli_safe(state),
-                      retry ? "retry" : "resume");
-            status = EXIT_FAILED;
-        }
-        farm_json_release(&reply);
-    }
-    farm_release(&farm);
-    return status == EXIT_DONE
-               ? patch_job(cli, "{\"state\":\"queued\"}", retry ? "is tried again" : "goes on")
-               : status;
-}
-
-int command_resume(struct cli *cli)
-{
-    return queue_again(cli, false);
-}
-
-int command_retry(struct cli *cli)
-{
-    return queue_again(cli, true);
-}
-
-int command_priority(struct cli *cli)
-{
-    char json[60], said[60];
-    const char *text = cli->line.arguments[1];
-    struct diag_list problems;
-    diag_init(&problems);
-    bool ok = cli_value_check(CLI_PRIORITY_N, text, &problems);
-    if (!ok)
-        cli_error("bad-value", NULL, "%s", problems.count ? problems.items[0].text : text);
-    diag_release(&problems);
-    if (!ok)
-        return EXIT_USAGE;
-    (void)snprintf(json, sizeof json, "{\"priority\":%s}", text);
-    (void)snprintf(said, sizeof said, "has priority %s", text);
-    return patch_job(cli, json, said);
-}
-
-int command_get(struct cli *cli)
-{
-    if (!cli_has(&cli->line, CLI_OUTPUT)) {
-        cli_error("missing-option", NULL, "get needs -o OUT.exr or -o OUT.png");
-        return EXIT_USAGE;
-    }
-    const char *path = cli_text(&cli->line, CLI_OUTPUT);
-    const char *dot = strrchr(path, '.');
-    bool exr = dot && strcmp(dot, ".exr") == 0, png = dot && strcmp(dot, ".png") == 0;
-    if (!exr && !png) {
-        cli_error("bad-value", NULL, "-o %s: must end in .exr or .png", path);
-        return EXIT_USAGE;
-    }
-    if (png && cli_flag(&cli->line, CLI_HALF)) {
-        cli_error("bad-value", NULL, "--half is about EXR files, %s is a PNG", path);
-        return EXIT_USAGE;
-    }
-    enum err e = out_file_check(path, 0);
-    if (e != ERR_OK)
-        return cli_cannot_write(path, e, errno, 0, NULL);
-    struct farm farm;
-    int status = farm_open(&farm, cli);
-    if (status != EXIT_DONE)
-        return status;
-    status = farm_fetch_picture(&farm, cli->line.arguments[0],
-                                exr ? farm_exr_of(&cli->line) : "picture.png", path,
-                                "the farm keeps it: try again elsewhere");
-    if (status == EXIT_DONE)
-        cli_say(cli, "%s", path);
     farm_release(&farm);
     return status;
 }

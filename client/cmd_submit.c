@@ -1,10 +1,11 @@
-/* client/cmd_submit.c: submit, and the waiting that submit --wait and watch share. */
-#include "client/cmd_wait.h"
+#include "client/cmd_submit.h"
 
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "client/cmd_frames.h"
+#include "client/cmd_wait.h"
 #include "client/command.h"
 #include "client/load.h"
 #include "client/out_file.h"
@@ -19,7 +20,7 @@ static void name_of(const char *path, char *out, size_t bytes)
                    base);
 }
 
-static int check_outputs(const struct cli *cli)
+int cmd_submit_outputs(const struct cli *cli)
 {
     static const enum cli_option_id ids[] = {CLI_OUTPUT, CLI_PNG, CLI_REPORT};
     bool wait = cli_flag(&cli->line, CLI_WAIT);
@@ -38,8 +39,8 @@ static int check_outputs(const struct cli *cli)
     return EXIT_DONE;
 }
 
-static int send_job(struct farm *farm, const struct cli *cli, struct load *load,
-                    char id[FARM_ID_BYTES])
+int cmd_submit_send(struct farm *farm, const struct cli *cli, struct load *load,
+                    const struct farm_frame *frame, char id[FARM_ID_BYTES])
 {
     char name[100];
     const struct cli_line *line = &cli->line;
@@ -48,22 +49,26 @@ static int send_job(struct farm *farm, const struct cli *cli, struct load *load,
         .name = cli_has(line, CLI_NAME) ? cli_text(line, CLI_NAME) : name,
         .package = &load->package,
         .spec_json = load->spec_json,
+        .frame = frame,
         .priority =
             cli_has(line, CLI_PRIORITY_N) ? strtoll(cli_text(line, CLI_PRIORITY_N), NULL, 10) : 0,
     };
     return farm_submit(farm, &request, id);
 }
 
+bool cmd_submit_print(const struct cli *cli, const char *id)
+{
+    char text[FARM_ID_BYTES + 16];
+    int bytes = snprintf(text, sizeof text, cli->json ? "{\"id\":\"%s\"}\n" : "%s\n", id);
+    return cli_put(text, (size_t)bytes);
+}
+
 static int finish(struct farm *farm, struct cli *cli, const char *id)
 {
     struct cmd_wait wait = {.farm = farm, .cli = cli, .job = id};
     bool waits = cli_flag(&cli->line, CLI_WAIT);
-    if (!waits || !cli->json) {
-        char text[FARM_ID_BYTES + 16];
-        int bytes = snprintf(text, sizeof text, cli->json ? "{\"id\":\"%s\"}\n" : "%s\n", id);
-        if (!cli_put(text, (size_t)bytes))
-            return EXIT_MACHINE;
-    }
+    if ((!waits || !cli->json) && !cmd_submit_print(cli, id))
+        return EXIT_MACHINE;
     return waits ? cmd_wait_run(&wait) : EXIT_DONE;
 }
 
@@ -72,7 +77,9 @@ int command_submit(struct cli *cli)
     struct load load;
     struct farm farm;
     char id[FARM_ID_BYTES];
-    int status = check_outputs(cli);
+    if (cli_has(&cli->line, CLI_FRAMES))
+        return cmd_frames_submit(cli);
+    int status = cmd_submit_outputs(cli);
     if (status != EXIT_DONE)
         return status;
     load_scene(&load, &cli->line, false);
@@ -80,7 +87,7 @@ int command_submit(struct cli *cli)
     if (status == EXIT_DONE)
         status = farm_open(&farm, cli);
     if (status == EXIT_DONE) {
-        status = send_job(&farm, cli, &load, id);
+        status = cmd_submit_send(&farm, cli, &load, NULL, id);
         load_release(&load);
         if (status == EXIT_DONE)
             status = finish(&farm, cli, id);

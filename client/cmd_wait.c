@@ -8,6 +8,7 @@
 #include "client/follow.h"
 #include "client/preview.h"
 #include "client/report_text.h"
+#include "client/shot.h"
 #include "client/signals.h"
 #include "client/term.h"
 #include "common/file_io.h"
@@ -206,15 +207,36 @@ int cmd_wait_run(struct cmd_wait *w)
     return ended(w, end, start_s);
 }
 
+/* Each in turn; the worst status, at once when the farm is lost or somebody interrupts. */
+static int wait_for(struct farm *farm, struct cli *cli, const struct shot *shot)
+{
+    int worst = EXIT_DONE;
+    for (size_t i = 0; i < shot->count; i++) {
+        struct cmd_wait wait = {.farm = farm,
+                                .cli = cli,
+                                .job = shot->frames[i].id,
+                                .preview = cli->line.command == CLI_WATCH};
+        int status = cmd_wait_run(&wait);
+        if (status == EXIT_INTERRUPTED || status == EXIT_FARM)
+            return status;
+        if (status > worst)
+            worst = status;
+    }
+    return worst;
+}
+
 int command_watch(struct cli *cli)
 {
     struct farm farm;
+    struct shot shot;
     int status = farm_open(&farm, cli);
     if (status != EXIT_DONE)
         return status;
-    struct cmd_wait wait = {
-        .farm = &farm, .cli = cli, .job = cli->line.arguments[0], .preview = true};
-    status = cmd_wait_run(&wait);
+    status = shot_find(&farm, cli, &shot);
+    if (status == EXIT_DONE) {
+        status = wait_for(&farm, cli, &shot);
+        shot_release(&shot);
+    }
     farm_release(&farm);
     return status;
 }

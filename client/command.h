@@ -19,6 +19,10 @@ bool command_put_table(const struct cli *cli, struct text_table *t);
 /* PATCH of one job or worker with a JSON body; `said` is what it is called afterwards. */
 int command_patch(struct cli *cli, const char *path, const struct buf *body, const char *said);
 
+/* The farm's last reply as it came, on a line of its own; false when that failed. */
+struct farm;
+bool command_put_reply(const struct farm *f);
+
 /* What `wait` shows and where, from --json, --quiet and --progress: an enum progress_mode. */
 int command_progress_mode(const struct cli *cli);
 

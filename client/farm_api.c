@@ -450,8 +450,13 @@ static int job_post(struct farm *f, const struct farm_job_request *request, char
     buf_init(&body);
     buf_printf(&body, "{\"name\":");
     json_put_text(&body, request->name);
-    buf_printf(&body, ",\"package\":\"%s\",\"spec\":%s,\"priority\":%lld}", hex, request->spec_json,
+    buf_printf(&body, ",\"package\":\"%s\",\"spec\":%s,\"priority\":%lld", hex, request->spec_json,
                (long long)request->priority);
+    if (request->frame)
+        buf_printf(&body, ",\"frame\":%u", request->frame->number);
+    if (request->frame && request->frame->shot)
+        buf_printf(&body, ",\"shot\":\"%s\"", request->frame->shot);
+    buf_printf(&body, "}");
     int status = farm_call(f, "POST", "/api/v1/jobs", &body, &reply);
     buf_release(&body);
     if (status != EXIT_DONE)

@@ -61,12 +61,19 @@ TL_NODISCARD int farm_fetch_picture(struct farm *f, const char *job, const char 
 /* The EXR that a command line asks for: "picture.exr", or FARM_HALF under --half. */
 const char *farm_exr_of(const struct cli_line *line);
 
+/* One picture of a shot. */
+struct farm_frame {
+    uint32_t number;
+    const char *shot; /* id of the first frame's job; NULL: this is the first */
+};
+
 /* Sends what the master lacks of the package, then the job; fills id. */
 struct farm_job_request {
     const char *name;
     const struct package *package;
     const char *spec_json;
     int64_t priority;
+    const struct farm_frame *frame; /* NULL: a picture on its own */
 };
 TL_NODISCARD int farm_submit(struct farm *f, const struct farm_job_request *request,
                              char id[FARM_ID_BYTES]);

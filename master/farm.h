@@ -202,8 +202,10 @@ struct job_request {
     const struct job_spec *spec;
     digest package;
     int32_t priority;
-    const char *key; /* Idempotency-Key, or NULL */
-    digest body;     /* of the request's body, for the key */
+    bool is_frame;
+    uint64_t shot, frame; /* of a frame; shot 0: the first one */
+    const char *key;      /* Idempotency-Key, or NULL */
+    digest body;          /* of the request's body, for the key */
 };
 
 /* Makes a job, and calls `done` when it is on disk. ERR_LIMIT: too many jobs or too large. */

@@ -39,6 +39,7 @@ static const struct route routes[] = {
     {"GET", "/api/v1/jobs", http_get_jobs, 0, false},
     {"GET", "/api/v1/jobs/{}", http_get_job, 0, false},
     {"PATCH", "/api/v1/jobs/{}", http_patch_job, HTTP_BODY_BYTES_MAX, false},
+    {"GET", "/api/v1/jobs/{}/frames", http_get_frames, 0, false},
     {"GET", "/api/v1/jobs/{}/picture.exr", http_get_exr, 0, false},
     {"GET", "/api/v1/jobs/{}/picture.png", http_get_png, 0, false},
     {"GET", "/api/v1/workers", http_get_workers, 0, false},

@@ -30,6 +30,22 @@ static void read_spec(struct json_get *g, struct job_spec *out)
     mem_free(text);
 }
 
+/* "frame": the number of a frame; "shot": the job of the shot's first frame, which has none. */
+static void read_frame(struct json_get *g, struct http_job_body *out)
+{
+    const struct json *shot = json_get_member(g->root, "shot");
+    const char *id = NULL;
+    out->is_frame = json_get_member(g->root, "frame") != NULL;
+    (void)json_get_u64(g, g->root, "frame", 0, UINT32_MAX, &out->frame);
+    if (!shot || !json_value_text(g, shot, false, &id))
+        return;
+    out->shot = http_id(id, 'j');
+    if (out->shot == 0)
+        json_get_problem(g, DIAG_ERROR, shot, "unknown-job", NULL, "no job \"%.40s\"", id);
+    else if (!out->is_frame)
+        json_get_problem(g, DIAG_ERROR, shot, "bad-frame", NULL, "a shot needs a \"frame\"");
+}
+
 enum err http_body_job(struct json_get *g, struct http_job_body *out)
 {
     const char *name = "", *package = NULL;
@@ -43,6 +59,7 @@ enum err http_body_job(struct json_get *g, struct http_job_body *out)
     if (json_value_text(g, p, false, &package) && !digest_from_hex(package, &out->package))
         json_get_problem(g, DIAG_ERROR, p, "bad-digest", NULL,
                          "\"%.80s\" is not 64 hexadecimal digits", package);
+    read_frame(g, out);
     read_spec(g, &out->spec);
     return g->problems->error_count == 0 ? ERR_OK : ERR_INPUT;
 }

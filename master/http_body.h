@@ -24,6 +24,8 @@ struct http_job_body {
     struct job_spec spec;
     digest package;
     int32_t priority;
+    bool is_frame;
+    uint64_t shot, frame; /* of a frame; shot 0: it begins one */
 };
 /* Each of these: ERR_INPUT with problems, ERR_NOMEM; `out` then holds nothing of use. */
 TL_NODISCARD enum err http_body_job(struct json_get *g, struct http_job_body *out);

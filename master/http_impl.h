@@ -124,6 +124,7 @@ void http_streams_tick(struct http *h);
 /* http_jobs.c */
 void http_post_jobs(struct request *r);
 void http_get_jobs(struct request *r);
+void http_get_frames(struct request *r);
 void http_get_job(struct request *r);
 void http_patch_job(struct request *r);
 void http_get_exr(struct request *r);

@@ -6,6 +6,7 @@
 
 #include "common/mem.h"
 #include "master/http_impl.h"
+#include "master/shots.h"
 
 /* --- The report --------------------------------------------------------- */
 
@@ -124,6 +125,31 @@ static void put_events(struct buf *b, const struct job *job)
     buf_put_u8(b, ']');
 }
 
+/* Which frame of which shot; nulls for a job that is none. */
+static void put_frame(struct buf *b, const struct job *job)
+{
+    if (job->rec.shot)
+        buf_printf(b, ",\"shot\":\"j%" PRIu64 "\",\"frame\":%" PRIu64, job->rec.shot,
+                   job->rec.frame);
+    else
+        buf_printf(b, ",\"shot\":null,\"frame\":null");
+}
+
+/* Of the first frame's report: how its shot is. */
+static void put_shot(struct buf *b, const struct farm *f, const struct job *job)
+{
+    uint64_t counts[JOB_STATE_COUNT], total = 0;
+    if (job->rec.shot != job->rec.id)
+        return;
+    shots_count(f, job->rec.shot, counts);
+    buf_printf(b, ",\"frames\":{");
+    for (int i = 0; i < JOB_STATE_COUNT; i++) {
+        buf_printf(b, "\"%s\":%" PRIu64 ",", job_state_names[i], counts[i]);
+        total += counts[i];
+    }
+    buf_printf(b, "\"total\":%" PRIu64 "}", total);
+}
+
 static void put_report(struct buf *b, struct farm *f, const struct job *job)
 {
     struct sched_job_info info = {0};
@@ -147,6 +173,8 @@ static void put_report(struct buf *b, struct farm *f, const struct job *job)
     put_seconds(b, job);
     put_farm(b, job, &info);
     buf_printf(b, ",\"workers_now\":%" PRIu32, info.workers);
+    put_frame(b, job);
+    put_shot(b, f, job);
     put_events(b, job);
     buf_printf(b, "}\n");
 }
@@ -196,7 +224,29 @@ static void put_item(struct buf *b, struct farm *f, const struct job *job)
                info.workers, job->rec.priority,
                (double)(farm_wall_us() - job->rec.created_us) / 1e6, job->rev);
     json_put_text(b, jobs_note(f, job));
+    put_frame(b, job);
     buf_put_u8(b, '}');
+}
+
+void http_get_frames(struct request *r)
+{
+    const struct job *job = job_of(r);
+    if (!job)
+        return;
+    struct buf b;
+    buf_init(&b);
+    buf_printf(&b, "{\"items\":[");
+    bool any = false;
+    for (size_t i = 0; job->rec.shot && i < r->farm->job_count; i++) {
+        const struct job *frame = r->farm->jobs[i];
+        if (frame->rec.shot != job->rec.shot)
+            continue;
+        buf_printf(&b, any ? "," : "");
+        put_item(&b, r->farm, frame);
+        any = true;
+    }
+    buf_printf(&b, "]}\n");
+    request_reply(r, MHD_HTTP_OK, "application/json", &b);
 }
 
 void http_get_jobs(struct request *r)
@@ -290,9 +340,17 @@ static bool make_job(struct request *r, struct submission *s)
                                 .spec = &s->asked.spec,
                                 .package = s->asked.package,
                                 .priority = s->asked.priority,
+                                .is_frame = s->asked.is_frame,
+                                .shot = s->asked.shot,
+                                .frame = s->asked.frame,
                                 .key = s->has_key ? s->key : NULL,
                                 .body = s->body};
     struct job *job = NULL;
+    if (asked.shot && !shots_begins(r->farm, asked.shot)) {
+        request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "unknown-job",
+                        "no shot begins with job j%" PRIu64, asked.shot);
+        return false;
+    }
     enum err e = jobs_submit(r->farm, &asked, submit_stored, s, &job);
     if (e != ERR_OK) {
         if (e == ERR_LIMIT)
@@ -355,7 +413,7 @@ static bool answer_by_key(struct request *r, const struct submission *s)
 
 void http_post_jobs(struct request *r)
 {
-    static const char *const keys[] = {"name", "package", "spec", "priority"};
+    static const char *const keys[] = {"name", "package", "spec", "priority", "shot", "frame"};
     struct json_get g;
     struct diag_list problems;
     if (!request_json(r, &g, &problems, keys, sizeof keys / sizeof *keys))

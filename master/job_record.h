@@ -77,6 +77,8 @@ struct job_record {
     int32_t priority; /* higher first */
     char name[JOB_NAME_BYTES];
     char note[JOB_NOTE_BYTES];                   /* why it is not moving; empty: nothing to say */
+    uint64_t shot;                               /* id of its first frame's job; 0: no frame */
+    uint64_t frame;                              /* its number in the shot */
     digest package;                              /* root chunk */
     char *spec_json;                             /* owned by whoever owns the record */
     int64_t created_us, started_us, finished_us; /* since 1970; 0: not yet */

@@ -14,7 +14,7 @@
 #include "common/json_put.h"
 #include "common/log.h"
 #include "common/mem.h"
-#include "master/farm.h"
+#include "master/shots.h"
 #include "proto/limits.h"
 
 enum {
@@ -116,6 +116,8 @@ const char *jobs_note(const struct farm *f, const struct job *job)
     struct sched_job_info info;
     if (job->rec.note[0] || job_state_ended(job->rec.state))
         return job->rec.note;
+    if (!job->in_sched && !shots_may_enter(f, job))
+        return "waits for frames before it";
     if (!job->in_sched || !sched_job_info(f->sched, job->rec.id, &info))
         info.wait = SCHED_WAIT_BEHIND;
     switch (info.wait) {
@@ -287,6 +289,10 @@ enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *do
     job->rec = (struct job_record){.id = f->job_next,
                                    .state = JOB_STATE_QUEUED,
                                    .priority = r->priority,
+                                   .shot = !r->is_frame ? 0
+                                           : r->shot    ? r->shot
+                                                        : f->job_next,
+                                   .frame = r->frame,
                                    .package = r->package,
                                    .spec_json = job_spec_to_json(r->spec),
                                    .created_us = farm_wall_us(),
@@ -413,7 +419,8 @@ void jobs_admit(struct farm *f)
     for (size_t i = 0; i < f->job_count && f->sched_jobs < JOBS_IN_SCHED_MAX; i++) {
         struct job *job = f->jobs[i];
         if (job->in_sched || job->in_store > 0 || job->finishing || job->loading ||
-            (job->rec.state != JOB_STATE_QUEUED && job->rec.state != JOB_STATE_RENDERING))
+            (job->rec.state != JOB_STATE_QUEUED && job->rec.state != JOB_STATE_RENDERING) ||
+            !shots_may_enter(f, job))
             continue;
         if (job->film && film_complete(job->film)) {
             job->sched_done = true;

@@ -21,6 +21,8 @@ static const char schema[] =
     "CREATE TABLE IF NOT EXISTS event(id INTEGER PRIMARY KEY, job INTEGER NOT NULL,"
     " at_us INTEGER NOT NULL, text TEXT NOT NULL) STRICT;"
     "CREATE INDEX IF NOT EXISTS event_job ON event(job, id);"
+    "CREATE TABLE IF NOT EXISTS frame(job INTEGER PRIMARY KEY, shot INTEGER NOT NULL,"
+    " number INTEGER NOT NULL) STRICT;"
     "CREATE TABLE IF NOT EXISTS value(key TEXT PRIMARY KEY, value BLOB NOT NULL) STRICT;"
     "CREATE TABLE IF NOT EXISTS idempotency(key TEXT PRIMARY KEY, body BLOB NOT NULL,"
     " job INTEGER NOT NULL, at_us INTEGER NOT NULL) STRICT;";
@@ -36,6 +38,8 @@ static const char schema[] =
     X(LOWEST, "SELECT min(segment) FROM unit WHERE job=?1 AND record IS NOT NULL")                 \
     X(DELETE_UNIT, "DELETE FROM unit WHERE job=?1 AND sequence=?2")                                \
     X(DELETE_JOB, "DELETE FROM job WHERE id=?1")                                                   \
+    X(PUT_FRAME, "INSERT OR REPLACE INTO frame VALUES(?1,?2,?3)")                                  \
+    X(DELETE_FRAME, "DELETE FROM frame WHERE job=?1")                                              \
     X(DELETE_EVENTS, "DELETE FROM event WHERE job=?1")                                             \
     X(PUT_EVENT, "INSERT INTO event(job,at_us,text) VALUES(?1,?2,?3)")                             \
     X(TRIM_EVENTS, "DELETE FROM event WHERE job=?1 AND id<=(SELECT id FROM event WHERE job=?1 "    \
@@ -46,7 +50,8 @@ static const char schema[] =
     X(DELETE_KEYS, "DELETE FROM idempotency WHERE at_us<?1")                                       \
     X(EACH_KEY, "SELECT key,body,job,at_us FROM idempotency ORDER BY at_us")                       \
     X(EACH_JOB, "SELECT id,state,priority,name,note,package,spec,created_us,started_us,"           \
-                "finished_us,image,numbers FROM job ORDER BY id")                                  \
+                "finished_us,image,numbers,coalesce(shot,0),coalesce(number,0) "                   \
+                "FROM job LEFT JOIN frame ON frame.job=job.id ORDER BY id")                        \
     X(EACH_EVENT, "SELECT at_us,text FROM (SELECT id,at_us,text FROM event WHERE job=?1 "          \
                   "ORDER BY id DESC LIMIT ?2) ORDER BY id")                                        \
     X(EACH_STEP, "SELECT sequence,cell_begin,cell_count,block,segment,at,bytes,record FROM unit "  \
@@ -205,7 +210,12 @@ enum err store_db_put_job(struct store_db *db, const struct job_record *job)
     (void)sqlite3_bind_blob(s, 12, numbers.data, (int)numbers.bytes, SQLITE_STATIC);
     enum err e = step(db, STATEMENT_PUT_JOB);
     buf_release(&numbers);
-    return e;
+    if (e != ERR_OK || job->shot == 0)
+        return e;
+    bind_u64(db, STATEMENT_PUT_FRAME, 1, job->id);
+    bind_u64(db, STATEMENT_PUT_FRAME, 2, job->shot);
+    bind_u64(db, STATEMENT_PUT_FRAME, 3, job->frame);
+    return step(db, STATEMENT_PUT_FRAME);
 }
 
 enum err store_db_put_unit(struct store_db *db, const struct journal_result *r,
@@ -266,6 +276,8 @@ enum err store_db_delete_job(struct store_db *db, uint64_t job)
     TL_TRY(step(db, STATEMENT_COVER));
     bind_u64(db, STATEMENT_DELETE_EVENTS, 1, job);
     TL_TRY(step(db, STATEMENT_DELETE_EVENTS));
+    bind_u64(db, STATEMENT_DELETE_FRAME, 1, job);
+    TL_TRY(step(db, STATEMENT_DELETE_FRAME));
     bind_u64(db, STATEMENT_DELETE_JOB, 1, job);
     return step(db, STATEMENT_DELETE_JOB);
 }
@@ -328,7 +340,9 @@ static enum err read_job(sqlite3_stmt *s, struct job_record *r)
                              .priority = sqlite3_column_int(s, 2),
                              .created_us = sqlite3_column_int64(s, 7),
                              .started_us = sqlite3_column_int64(s, 8),
-                             .finished_us = sqlite3_column_int64(s, 9)};
+                             .finished_us = sqlite3_column_int64(s, 9),
+                             .shot = (uint64_t)sqlite3_column_int64(s, 12),
+                             .frame = (uint64_t)sqlite3_column_int64(s, 13)};
     int state = sqlite3_column_int(s, 1);
     if (state < 0 || state >= JOB_STATE_COUNT || !column_digest(s, 5, &r->package))
         return ERR_CORRUPT;

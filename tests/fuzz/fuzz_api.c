@@ -35,7 +35,7 @@ static void fuzz_digests(struct json_get *g)
 
 static void fuzz_body(unsigned which, const uint8_t *data, size_t bytes)
 {
-    static const char *const job_keys[] = {"name", "package", "spec", "priority"};
+    static const char *const job_keys[] = {"name", "package", "spec", "priority", "shot", "frame"};
     static const char *const change_keys[] = {"state", "priority"};
     static const char *const digest_keys[] = {"sha256"};
     static const struct {

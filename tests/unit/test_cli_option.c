@@ -121,7 +121,6 @@ static void test_refusals(void **state)
     refused("render a.json --spp 1 --spp 2", "given-twice", "--spp");
     refused("render a.json --target-error 0.1", "not-built", "not built yet");
     refused("render a.json --time-limit 5", "not-built", "--time-limit");
-    refused("submit a.json --frames 1-4", "not-built", "--frames");
     refused("render a.json --aov norml", "bad-value", "known: depth,position");
     refused("render a.json --aov depth,,uv", "bad-value", "--aov");
     refused("render a.json --aov depth,depth", "bad-value", "twice");
