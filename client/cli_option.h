@@ -86,6 +86,7 @@ enum cli_option_id {
     CLI_PRECISION,
     CLI_BUILDER,
     CLI_INTERSECTOR,
+    CLI_LIGHT_CHOICE,
     CLI_PRESET,
     CLI_WORKER_COUNT,
     CLI_THREADS,

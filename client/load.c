@@ -41,6 +41,8 @@ static void take_choices(struct job_spec *spec, const struct cli_line *line)
         spec->builder = (enum job_builder)cli_choice(line, CLI_BUILDER);
     if (cli_has(line, CLI_INTERSECTOR))
         spec->intersector = (enum job_intersector)cli_choice(line, CLI_INTERSECTOR);
+    if (cli_has(line, CLI_LIGHT_CHOICE))
+        spec->light_choice = (enum job_light_choice)cli_choice(line, CLI_LIGHT_CHOICE);
 }
 
 static void take_size(struct job_spec *spec, const struct cli_line *line)

@@ -15,6 +15,7 @@ const char *const job_filter_names[JOB_FILTER_COUNT] = {JOB_FILTERS(JOB_NAME)};
 const char *const job_builder_names[JOB_BUILDER_COUNT] = {JOB_BUILDERS(JOB_NAME)};
 const char *const job_intersector_names[JOB_INTERSECTOR_COUNT] = {JOB_INTERSECTORS(JOB_NAME)};
 const char *const job_precision_names[JOB_PRECISION_COUNT] = {JOB_PRECISIONS(JOB_NAME)};
+const char *const job_light_choice_names[JOB_LIGHT_CHOICE_COUNT] = {JOB_LIGHT_CHOICES(JOB_NAME)};
 #undef JOB_NAME
 
 /* Filters wider than this many pixels blur the picture away; parameters stay this small. */
@@ -94,7 +95,8 @@ static bool choices_valid(const struct job_spec *s)
            (unsigned)s->profile < JOB_PROFILE_COUNT && (unsigned)s->sampler < JOB_SAMPLER_COUNT &&
            (unsigned)s->filter < JOB_FILTER_COUNT && (unsigned)s->builder < JOB_BUILDER_COUNT &&
            (unsigned)s->intersector < JOB_INTERSECTOR_COUNT &&
-           (unsigned)s->precision < JOB_PRECISION_COUNT;
+           (unsigned)s->precision < JOB_PRECISION_COUNT &&
+           (unsigned)s->light_choice < JOB_LIGHT_CHOICE_COUNT;
 }
 
 bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
@@ -120,7 +122,7 @@ bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
     good &= check(s->aov >> AOV_COUNT == 0, problems, "$.aov", "known AOVs");
     good &= check(choices_valid(s), problems, "$",
                   "known integrator, profile, sampler, filter, "
-                  "builder, intersector and precision");
+                  "builder, intersector, precision and light choice");
     return good;
 }
 
@@ -153,6 +155,7 @@ char *job_spec_to_json(const struct job_spec *s)
     buf_printf(&b, ",\"builder\":\"%s\",\"intersector\":\"%s\",\"precision\":\"%s\"",
                job_builder_names[s->builder], job_intersector_names[s->intersector],
                job_precision_names[s->precision]);
+    buf_printf(&b, ",\"light_choice\":\"%s\"", job_light_choice_names[s->light_choice]);
     char aovs[AOV_LIST_BYTES];
     aov_list(s->aov, aovs);
     if (s->aov != 0)
@@ -170,6 +173,7 @@ static void read_choices(struct json_get *g, struct job_spec *s)
     int integrator = (int)s->integrator, profile = (int)s->profile, sampler = (int)s->sampler;
     int filter = (int)s->filter, builder = (int)s->builder;
     int intersector = (int)s->intersector, precision = (int)s->precision;
+    int light_choice = (int)s->light_choice;
     const struct {
         const char *key;
         const char *const *names;
@@ -182,6 +186,7 @@ static void read_choices(struct json_get *g, struct job_spec *s)
         {"builder", job_builder_names, JOB_BUILDER_COUNT, &builder},
         {"intersector", job_intersector_names, JOB_INTERSECTOR_COUNT, &intersector},
         {"precision", job_precision_names, JOB_PRECISION_COUNT, &precision},
+        {"light_choice", job_light_choice_names, JOB_LIGHT_CHOICE_COUNT, &light_choice},
     };
     for (size_t i = 0; i < sizeof choices / sizeof *choices; i++)
         (void)json_get_choice(g, g->root, choices[i].key, choices[i].names, choices[i].count,
@@ -193,6 +198,7 @@ static void read_choices(struct json_get *g, struct job_spec *s)
     s->builder = (enum job_builder)builder;
     s->intersector = (enum job_intersector)intersector;
     s->precision = (enum job_precision)precision;
+    s->light_choice = (enum job_light_choice)light_choice;
 }
 
 static void read_crop(struct json_get *g, struct job_spec *s)
@@ -225,7 +231,7 @@ static void read_fields(struct json_get *g, struct job_spec *s)
         "width",     "height",     "crop",          "spp",          "seed",    "max_depth",
         "tile",      "integrator", "rr_threshold",  "profile",      "sampler", "filter",
         "filter_b",  "filter_c",   "filter_radius", "filter_alpha", "builder", "intersector",
-        "precision", "verify",     "aov",
+        "precision", "verify",     "aov",           "light_choice",
     };
     const struct json *o = g->root;
     const double limit = FILTER_PARAMETER_MAX;

@@ -21,9 +21,10 @@
     X(BOX, "box")                                                                                  \
     X(TENT, "tent")                                                                                \
     X(GAUSSIAN, "gaussian") X(MITCHELL, "mitchell") X(BLACKMAN_HARRIS, "blackman-harris")
-#define JOB_BUILDERS(X)     X(SAH, "sah") X(MEDIAN, "median") X(NONE, "none")
-#define JOB_INTERSECTORS(X) X(WOOP, "woop") X(MOLLER_TRUMBORE, "moller-trumbore")
-#define JOB_PRECISIONS(X)   X(EXACT, "exact") X(FAST, "fast")
+#define JOB_BUILDERS(X)      X(SAH, "sah") X(MEDIAN, "median") X(NONE, "none")
+#define JOB_INTERSECTORS(X)  X(WOOP, "woop") X(MOLLER_TRUMBORE, "moller-trumbore")
+#define JOB_LIGHT_CHOICES(X) X(TREE, "tree") X(POWER, "power") X(UNIFORM, "uniform")
+#define JOB_PRECISIONS(X)    X(EXACT, "exact") X(FAST, "fast")
 
 #define JOB_ENUM(suffix, name) JOB_CHOICE(suffix),
 #define JOB_CHOICE(suffix)     JOB_INTEGRATOR_##suffix
@@ -47,6 +48,9 @@ enum job_intersector { JOB_INTERSECTORS(JOB_ENUM) JOB_INTERSECTOR_COUNT };
 #define JOB_CHOICE(suffix) JOB_PRECISION_##suffix
 enum job_precision { JOB_PRECISIONS(JOB_ENUM) JOB_PRECISION_COUNT };
 #undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_LIGHT_CHOICE_##suffix
+enum job_light_choice { JOB_LIGHT_CHOICES(JOB_ENUM) JOB_LIGHT_CHOICE_COUNT };
+#undef JOB_CHOICE
 #undef JOB_ENUM
 
 extern const char *const job_integrator_names[JOB_INTEGRATOR_COUNT];
@@ -56,6 +60,7 @@ extern const char *const job_filter_names[JOB_FILTER_COUNT];
 extern const char *const job_builder_names[JOB_BUILDER_COUNT];
 extern const char *const job_intersector_names[JOB_INTERSECTOR_COUNT];
 extern const char *const job_precision_names[JOB_PRECISION_COUNT];
+extern const char *const job_light_choice_names[JOB_LIGHT_CHOICE_COUNT];
 
 /* Index of `name` in a table of names, or -1. */
 int job_choice_find(const char *const *names, int count, const char *name);
@@ -90,7 +95,8 @@ struct job_spec {
     enum job_builder builder;
     enum job_intersector intersector;
     enum job_precision precision;
-    uint32_t aov; /* set of aov.h */
+    enum job_light_choice light_choice; /* few lights are never chosen by a tree */
+    uint32_t aov;                       /* set of aov.h */
 };
 
 /* The format's defaults: 600x600, path, 32 spp, depth 12, rr 0.1, box 0.5, tile 16, sobol. */

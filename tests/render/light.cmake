@@ -13,6 +13,8 @@ tilery_test(test_surface LABEL render LINKS tl_worker m ARGS --but-rows
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_surface.c ${render_kit})
 tilery_test(test_scene_build LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_build.c ${render_kit})
+tilery_test(test_light_tree LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_light_tree.c ${render_kit})
 tilery_test(test_aov LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_aov.c ${render_kit})
 

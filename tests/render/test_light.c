@@ -66,7 +66,7 @@ static double density(const struct render_scene *rs, vec3 p, vec3 w)
             vec3 d = v3_sub(l->v0, p);
             double along = v3_dot(d, w);
             if (along > 0 && v3_dot(d, d) - along * along < l->radius * l->radius)
-                pdf += light_pdf(&rs->lights, i, p, 1, 1);
+                pdf += light_pdf(&rs->lights, i, p, nowhere, 1, 1);
             continue;
         }
         double cosine = -v3_dot(l->n, w);
@@ -76,7 +76,7 @@ static double density(const struct render_scene *rs, vec3 p, vec3 w)
         double b = v3_dot(v3_cross(l->e1, q), l->n) / l->area;
         bool in = l->type == LIGHT_QUAD && a >= 0 && a <= 1 && b >= 0 && b <= 1;
         if (cosine > 0 && t > 0 && in)
-            pdf += light_pdf(&rs->lights, i, p, t * t, cosine);
+            pdf += light_pdf(&rs->lights, i, p, nowhere, t * t, cosine);
     }
     (void)environment_radiance(&rs->lights, nowhere, w, &sky);
     return pdf + sky;

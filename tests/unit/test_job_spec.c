@@ -52,6 +52,7 @@ static void every_field_round_trips(void **state)
                          .builder = JOB_BUILDER_MEDIAN,
                          .intersector = JOB_INTERSECTOR_MOLLER_TRUMBORE,
                          .precision = JOB_PRECISION_FAST,
+                         .light_choice = JOB_LIGHT_CHOICE_UNIFORM,
                          .aov = (UINT32_C(1) << AOV_COUNT) - 1};
     struct job_spec back;
     struct diag_list problems;

@@ -66,7 +66,7 @@ static void add_emission(const struct render_scene *scene, struct path *path,
     double weight = 1;
     if (path->pdf > 0 && light != SCENE_NONE) {
         vec3 d = v3_sub(s->p, path->org);
-        double pdf = light_pdf(&scene->lights, light, path->org, v3_dot(d, d), cosine);
+        double pdf = light_pdf(&scene->lights, light, path->org, path->n, v3_dot(d, d), cosine);
         weight = found_weight(scene, path, pdf);
     }
     rgb light_in = rgb_mul(path->beta, object->radiance);

@@ -180,13 +180,36 @@ static bool sample_environment(const struct environment *e, vec3 n, double u, do
     return true;
 }
 
+/* Draws a light; SCENE_NONE if none sends anything to p. */
+static uint32_t choose_light(const struct light_table *t, vec3 p, vec3 n, double choose,
+                             double *probability)
+{
+    double rest = choose;
+    if (!t->tree.nodes) {
+        uint32_t index =
+            t->count == 1 ? 0 : (uint32_t)distribution_1d_sample(&t->choice, choose, &rest);
+        *probability = t->lights[index].probability;
+        return index;
+    }
+    size_t which = t->placeless_count ? distribution_1d_sample(&t->choice, choose, &rest) : 0;
+    if (which > 0) {
+        *probability = t->lights[t->placeless[which - 1]].probability;
+        return t->placeless[which - 1];
+    }
+    uint32_t index = light_tree_draw(&t->tree, p, n, rest, probability);
+    *probability *= t->tree.probability;
+    return index;
+}
+
 bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, double u, double v,
                   struct light_sample *s)
 {
     if (t->count == 0)
         return false;
-    double rest;
-    size_t index = t->count == 1 ? 0 : distribution_1d_sample(&t->choice, choose, &rest);
+    double probability;
+    uint32_t index = choose_light(t, p, n, choose, &probability);
+    if (index == SCENE_NONE)
+        return false;
     const struct light *l = &t->lights[index];
     s->distant = s->delta = false;
     bool any = false;
@@ -212,18 +235,21 @@ bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, do
         any = sample_environment(&t->environment, n, u, v, s);
         break;
     }
-    s->pdf *= l->probability;
+    s->pdf *= probability;
     return any;
 }
 
-double light_pdf(const struct light_table *t, uint32_t index, vec3 p, double distance2,
+double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,
                  double cos_light)
 {
     const struct light *l = &t->lights[index];
+    double probability = t->tree.nodes
+                             ? t->tree.probability * light_tree_probability(&t->tree, index, p, n)
+                             : l->probability;
     if (l->type == LIGHT_SPHERE) {
         vec3 d = v3_sub(l->v0, p);
         double cap = sphere_cap(l, v3_dot(d, d));
-        return cap > 0 ? l->probability / (2 * VEC_PI * cap) : 0;
+        return cap > 0 ? probability / (2 * VEC_PI * cap) : 0;
     }
-    return l->probability * distance2 / (cos_light * l->area);
+    return probability * distance2 / (cos_light * l->area);
 }

@@ -6,12 +6,15 @@
  * only. light_pdf gives the density with which light_sample draws a direction, the
  * choice of the light included, for multiple importance sampling.
  *
- * Read-only after the build; any thread. Tests: test_light.
+ * A few lights are chosen by power, many by a tree (light_tree.h).
+ *
+ * Read-only after the build; any thread. Tests: test_light, test_light_tree.
  */
 #ifndef WORKER_RENDER_LIGHT_H
 #define WORKER_RENDER_LIGHT_H
 
 #include "worker/render/distribution.h"
+#include "worker/render/light_tree.h"
 #include "worker/render/texture.h"
 #include "worker/render/vec.h"
 
@@ -36,7 +39,7 @@ struct light {
     double cos_inner, cos_outer;
     const struct texture *texture; /* triangle: times radiance; NULL: none */
     float uv[6];                   /* of its corners, when it has a texture */
-    double probability;            /* of being chosen */
+    double probability;            /* of being chosen; of the tree's lights unused */
 };
 
 /* The sky: a texture on the sphere of directions. */
@@ -51,7 +54,10 @@ struct environment {
 struct light_table {
     struct light *lights;
     size_t count;
-    struct distribution_1d choice; /* by power */
+    struct distribution_1d choice; /* by power; with a tree: the tree, then the placeless */
+    struct light_tree tree;
+    uint32_t *placeless; /* with a tree: distant lights and the environment */
+    size_t placeless_count;
     struct environment environment;
     uint32_t environment_light; /* its index, or SCENE_NONE */
     bool any_hittable;          /* some light is a surface or the sky: a ray can find it */
@@ -72,10 +78,16 @@ struct light_sample {
 bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, double u, double v,
                   struct light_sample *s);
 
-/* Density with which light_sample from `p` draws the direction of a point at distance squared
- * `distance2` on light `index`, seen under the cosine `cos_light` > 0 at its own normal. */
-double light_pdf(const struct light_table *t, uint32_t index, vec3 p, double distance2,
+/* Density with which light_sample from `p` and `n` draws the direction of a point at distance
+ * squared `distance2` on light `index`, seen under the cosine `cos_light` > 0 at its own normal. */
+double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,
                  double cos_light);
+
+/* True if it is at a place, which all are but distant lights and the environment. */
+static inline bool light_has_place(const struct light *l)
+{
+    return l->type != LIGHT_DISTANT && l->type != LIGHT_ENVIRONMENT;
+}
 
 /* Radiance of an area light at the weights of its vertices 1 and 2. */
 rgb light_emission(const struct light *l, double b1, double b2);

@@ -19,6 +19,9 @@ static const double SKY_FLOOR = 0.001;
 /* The least that a textured light counts, of what it would without its texture. */
 static const double TEXTURE_FLOOR = 0.01;
 
+/* So many lights with a place are chosen by a tree: of fewer the powers are as good and cheaper. */
+enum { TREE_LIGHTS_MIN = 16 };
+
 /* Two triangles of a mesh count as one parallelogram when the fourth corner is off by no more than
  * this many units in the last place of the coordinates. */
 enum { QUAD_ULPS = 8 };
@@ -294,7 +297,59 @@ static enum err allocate(struct render_scene *rs, const struct scene *scene,
     return *object_lights && rs->lights.lights ? ERR_OK : ERR_NOMEM;
 }
 
-/* The table by which a light is drawn, in proportion to its power. */
+/* Along the axis of a light with a place. */
+static double light_intensity(const struct light *l, double power)
+{
+    switch (l->type) {
+    case LIGHT_POINT:
+    case LIGHT_SPOT:
+        return rgb_luminance(l->radiance);
+    case LIGHT_SPHERE:
+        return power / (4 * VEC_PI);
+    default:
+        return power / VEC_PI;
+    }
+}
+
+/* The tree, and the table that draws it or one of the lights without a place, by power. Turns
+ * `powers` to intensities. */
+static enum err build_tree(struct render_scene *rs, double *powers)
+{
+    struct light_table *t = &rs->lights;
+    double *shares = mem_calloc(t->count + 1, sizeof *shares);
+    t->placeless = arena_alloc(&rs->arena, t->count, sizeof *t->placeless);
+    enum err e = shares && t->placeless ? ERR_OK : ERR_NOMEM;
+    for (size_t i = 0; e == ERR_OK && i < t->count; i++) {
+        if (light_has_place(&t->lights[i])) {
+            shares[0] += powers[i];
+            powers[i] = light_intensity(&t->lights[i], powers[i]);
+        } else {
+            t->placeless[t->placeless_count++] = (uint32_t)i;
+            shares[t->placeless_count] = powers[i];
+        }
+    }
+    if (e == ERR_OK)
+        e = scene_build_light_tree(rs, powers);
+    if (e == ERR_OK)
+        e = distribution_1d_init(&t->choice, &rs->arena, shares, t->placeless_count + 1);
+    if (e == ERR_OK) {
+        t->tree.probability = distribution_1d_probability(&t->choice, 0);
+        for (size_t k = 0; k < t->placeless_count; k++)
+            t->lights[t->placeless[k]].probability = distribution_1d_probability(&t->choice, k + 1);
+    }
+    mem_free(shares);
+    return e;
+}
+
+static bool wants_tree(const struct render_scene *rs, const double *powers)
+{
+    size_t count = 0;
+    for (size_t i = 0; i < rs->lights.count; i++)
+        count += light_has_place(&rs->lights.lights[i]) && powers[i] > 0;
+    return rs->spec.light_choice == JOB_LIGHT_CHOICE_TREE && count >= TREE_LIGHTS_MIN;
+}
+
+/* What lights are drawn by: a tree, or a table in proportion to their power. */
 static enum err build_choice(struct render_scene *rs)
 {
     struct light_table *t = &rs->lights;
@@ -303,8 +358,14 @@ static enum err build_choice(struct render_scene *rs)
     double *powers = mem_alloc_array(t->count, sizeof *powers);
     if (!powers)
         return ERR_NOMEM;
+    bool uniform = rs->spec.light_choice == JOB_LIGHT_CHOICE_UNIFORM;
     for (size_t i = 0; i < t->count; i++)
-        powers[i] = light_power(&t->lights[i], &t->environment);
+        powers[i] = uniform ? 1 : light_power(&t->lights[i], &t->environment);
+    if (wants_tree(rs, powers)) {
+        enum err e = build_tree(rs, powers);
+        mem_free(powers);
+        return e;
+    }
     enum err e = distribution_1d_init(&t->choice, &rs->arena, powers, t->count);
     for (size_t i = 0; e == ERR_OK && i < t->count; i++)
         t->lights[i].probability = distribution_1d_probability(&t->choice, i);

@@ -16,4 +16,8 @@ TL_NODISCARD enum err scene_build_materials(struct render_scene *rs, const struc
 /* Area lights of the objects, the lights of the scene, the environment. After the others. */
 TL_NODISCARD enum err scene_build_lights(struct render_scene *rs, const struct scene *scene);
 
+/* The tree over the lights with a place; intensities[light] is that along its axis. Leaves
+ * lights.tree.nodes NULL if there is none. After the table of lights is complete. */
+TL_NODISCARD enum err scene_build_light_tree(struct render_scene *rs, const double *intensities);
+
 #endif
