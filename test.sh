@@ -37,7 +37,7 @@ run() { # PRESET ARGS...: ctest, and no silent skip under TILERY_NO_SKIP
     echo "== ctest, build $preset: $*"
     log=build/$preset.ctest.log
     status=0
-    ctest --preset "$preset" --no-tests=error "$@" >"$log" 2>&1 || status=$?
+    ctest --preset "$preset" -j"$jobs" --no-tests=error "$@" >"$log" 2>&1 || status=$?
     cat "$log"
     if [ "${TILERY_NO_SKIP-}" = 1 ] && grep -q '\*\*\*Skipped' "$log"; then
         echo "test.sh: tests were skipped" >&2
