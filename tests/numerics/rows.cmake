@@ -34,6 +34,21 @@ numerics_program(test_rows_watertight LINKS tl_render Threads::Threads
   SOURCES ${numerics_dir}/test_rows_watertight.c ${numerics_dir}/closed_mesh.c ${numerics_kit}
   ROWS test_t05_leaks test_t06_lattice test_t07_boxes test_t07_kernels test_t07_no_rays
        test_t08_needles)
+set(numerics_scenes ${PROJECT_SOURCE_DIR}/tests/render/render_kit.c)
+numerics_program(test_rows_degenerate LINKS tl_worker Threads::Threads
+  SOURCES ${numerics_dir}/test_rows_degenerate.c ${numerics_kit} ${numerics_scenes}
+  ROWS test_t10_degenerates test_t10_coincident_centres test_t10_none_and_one test_t11_shrinking
+       test_t11_clusters test_t12_numbers_stay test_t12_pictures)
+numerics_program(test_rows_glass LINKS tl_worker
+  SOURCES ${numerics_dir}/test_rows_glass.c ${numerics_scenes}
+  ROWS test_t15_slab test_t15_index_one_is_air test_t17_nested_dielectrics test_t17_shared_faces
+       test_t22_blocks test_t22_samples)
+
+# What other methods make of the rows; plot.py draws it.
+if(TARGET trace_peer)
+  tilery_program(numerics_figures LINKS trace_peer tl_worker
+    SOURCES ${numerics_dir}/numerics_figures.c ${numerics_dir}/closed_mesh.c ${numerics_scenes})
+endif()
 
 # Rows through the programs: numerics_pytest(FILE ROW...) runs the functions whose names begin so.
 function(numerics_pytest file)
@@ -47,4 +62,12 @@ if(TARGET tilery AND TARGET tilery-master AND TARGET tilery-worker)
   tilery_script_test(numerics_doctor LABEL numerics TIMEOUT 300
     COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider
             ${numerics_dir}/test_numerics_doctor.py)
+  tilery_script_test(numerics_input LABEL numerics TIMEOUT 600
+    COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider -k "not test_t10"
+            ${numerics_dir}/test_numerics_input.py)
+  numerics_pytest(test_numerics_farm.py test_t01_scale_by_the_farm test_t02_radiance_by_the_farm
+    test_t02_half_is_clamped_and_said test_t03_powers_of_ten test_t04_translated_by_the_farm
+    test_t04_dyadic_by_the_farm test_t22_last_pixels_by_the_farm)
+  numerics_pytest(test_numerics_input.py test_t10_bad_vertex_is_named_obj
+    test_t10_bad_vertex_is_named_ply)
 endif()

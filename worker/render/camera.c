@@ -3,11 +3,20 @@
 #include "common/dmath.h"
 #include "worker/render/warp.h"
 
+/* The unit vector along v, which is not 0. Brought to about 1 by a power of two first, so that
+ * squares neither vanish nor overflow; exact, so that no bit depends on it. */
+static vec3 unit_of_any_size(vec3 v)
+{
+    int exponent;
+    (void)frexp(v3_abs_max(v), &exponent);
+    return v3_unit(v3(ldexp(v.x, -exponent), ldexp(v.y, -exponent), ldexp(v.z, -exponent)));
+}
+
 void camera_init(struct camera *c, const struct scene_camera *from, uint32_t width, uint32_t height,
                  const double center[3], double scale)
 {
-    vec3 forward = v3_unit(v3_sub(v3_of(from->look_at), v3_of(from->position)));
-    vec3 right = v3_unit(v3_cross(forward, v3_of(from->ref_up)));
+    vec3 forward = unit_of_any_size(v3_sub(v3_of(from->look_at), v3_of(from->position)));
+    vec3 right = unit_of_any_size(v3_cross(forward, v3_of(from->ref_up)));
     double aspect = (double)width / (double)height;
     double half = from->type == SCENE_CAMERA_ORTHOGRAPHIC ? from->ortho_height * scale * 0.5
                                                           : dmath_tan(from->fov * (VEC_PI / 360));
