@@ -210,6 +210,7 @@ static enum err master_start(struct private_farm *f)
                                                data,
                                                "--token-file",
                                                token,
+                                               "--no-sync",
                                                NULL};
     return child_start(f, &f->master, (char *const *)arguments);
 }

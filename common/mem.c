@@ -123,9 +123,11 @@ bool mem_grow(void **array, size_t count, size_t *capacity, size_t element_bytes
     return true;
 }
 
+/* Blocks come zeroed, big ones as fresh pages that nobody has to write: a table that stays empty
+ * costs nothing. */
 struct arena_block {
     struct arena_block *next;
-    _Alignas(ARENA_ALIGN) unsigned char data[];
+    unsigned char *data; /* the first aligned byte behind this */
 };
 
 void arena_init(struct arena *a)
@@ -141,10 +143,11 @@ void *arena_alloc(struct arena *a, size_t count, size_t bytes)
     total = (total + ARENA_ALIGN - 1) / ARENA_ALIGN * ARENA_ALIGN;
     if (!a->head || a->capacity - a->used < total) {
         size_t capacity = total > ARENA_BLOCK_BYTES ? total : ARENA_BLOCK_BYTES;
-        struct arena_block *block =
-            mem_alloc_aligned(sizeof(struct arena_block) + capacity, ARENA_ALIGN);
+        struct arena_block *block = mem_calloc(1, sizeof *block + ARENA_ALIGN + capacity);
         if (!block)
             return NULL;
+        uintptr_t behind = (uintptr_t)(block + 1);
+        block->data = (unsigned char *)(block + 1) + (ARENA_ALIGN - behind % ARENA_ALIGN);
         block->next = a->head;
         a->head = block;
         a->used = 0;
@@ -153,7 +156,6 @@ void *arena_alloc(struct arena *a, size_t count, size_t bytes)
     }
     void *p = a->head->data + a->used;
     a->used += total;
-    memset(p, 0, total);
     return p;
 }
 

@@ -8,6 +8,7 @@
 
 #include "common/file_io.h"
 #include "common/mem.h"
+#include "master/durable.h"
 
 enum {
     CHECKPOINT_MAGIC = 0x31434c54, /* "TLC1" */
@@ -151,8 +152,8 @@ static enum err write_contents(const char *path, const struct checkpoint *c,
         s.used = DIGEST_BYTES;
         e = stream_flush(&s);
     }
-    if (e == ERR_OK && fsync(s.fd) != 0)
-        e = err_from_errno(errno);
+    if (e == ERR_OK)
+        e = durable_sync(s.fd);
     stream_release(&s, hashing);
     return e;
 }
@@ -163,7 +164,7 @@ static enum err sync_folder(const char *path)
     if (!folder)
         return ERR_NOMEM;
     int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    enum err e = fd < 0 || fsync(fd) != 0 ? err_from_errno(errno) : ERR_OK;
+    enum err e = fd < 0 ? err_from_errno(errno) : durable_sync(fd);
     if (fd >= 0)
         (void)close(fd);
     mem_free(folder);

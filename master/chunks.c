@@ -14,6 +14,7 @@
 #include "common/log.h"
 #include "common/mem.h"
 #include "common/package.h"
+#include "master/durable.h"
 
 enum { RAW_BYTES_FIELD = 8 };
 
@@ -217,7 +218,7 @@ static enum err write_parts(int fd, const struct work *w)
             bytes[i] -= (size_t)n;
         }
     }
-    return fsync(fd) == 0 ? ERR_OK : err_from_errno(errno);
+    return durable_sync(fd);
 }
 
 static enum err write_aside(struct work *w)

@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <sys/resource.h>
 
+#include "master/durable.h"
 #include "master/farm.h"
 #include "master/http.h"
 #include "master/options.h"
@@ -91,6 +92,8 @@ int main(int argc, char **argv)
     if (!options_parse(argc, argv, &options, &status))
         return status;
     log_set_level(options.level);
+    if (options.no_sync)
+        durable_forgo();
     raise_file_limit();
     if (uv_loop_init(&p.loop) != 0)
         return err_exit_status(ERR_NOMEM);

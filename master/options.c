@@ -24,6 +24,7 @@ static const char help[] =
     "  --tls-key F            PEM: its key\n"
     "  --tls-client-ca F      PEM: workers must show a certificate of this authority\n"
     "  --insecure             allow other than loopback addresses without a token\n"
+    "  --no-sync              do not wait for the disk: survives kill -9, not a power cut\n"
     "  --determinism-id HEX   accept only workers of this id (else the first one's)\n"
     "  --retention DAYS       keep ended jobs so long (0: for ever, the default)\n"
     "  --log LEVEL            error, warn, info, debug, trace (info)\n"
@@ -125,6 +126,7 @@ enum {
     OPT_TLS_KEY,
     OPT_TLS_CLIENT_CA,
     OPT_INSECURE,
+    OPT_NO_SYNC,
     OPT_DETERMINISM,
     OPT_RETENTION,
     OPT_LOG,
@@ -141,6 +143,7 @@ static const struct option long_options[] = {
     {"tls-key", required_argument, NULL, OPT_TLS_KEY},
     {"tls-client-ca", required_argument, NULL, OPT_TLS_CLIENT_CA},
     {"insecure", no_argument, NULL, OPT_INSECURE},
+    {"no-sync", no_argument, NULL, OPT_NO_SYNC},
     {"determinism-id", required_argument, NULL, OPT_DETERMINISM},
     {"retention", required_argument, NULL, OPT_RETENTION},
     {"log", required_argument, NULL, OPT_LOG},
@@ -177,6 +180,9 @@ static bool take(struct options *o, int option, int *status)
         return true;
     case OPT_INSECURE:
         o->insecure = true;
+        return true;
+    case OPT_NO_SYNC:
+        o->no_sync = true;
         return true;
     case OPT_DETERMINISM:
         o->determinism_pinned = true;

@@ -10,7 +10,7 @@ struct options {
     const char *listen, *http, *data; /* of argv, or defaults */
     char *token;                      /* owned; NULL: none */
     struct tls_files tls;             /* certificate NULL: in clear */
-    bool insecure, determinism_pinned;
+    bool insecure, no_sync, determinism_pinned;
     digest determinism;
     enum log_level level;
     uint32_t retention_s;

@@ -6,6 +6,7 @@
 
 #include "common/log.h"
 #include "common/mem.h"
+#include "master/durable.h"
 
 enum { SCHEMA_VERSION = 1 };
 
@@ -118,8 +119,9 @@ static enum err check_version(struct store_db *db)
 static enum err prepare(struct store_db *db)
 {
     TL_TRY(check_version(db));
-    TL_TRY(run(db, "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL;"
-                   "PRAGMA locking_mode=EXCLUSIVE; PRAGMA user_version=1;"));
+    TL_TRY(run(db, durable_wanted() ? "PRAGMA synchronous=FULL;" : "PRAGMA synchronous=OFF;"));
+    TL_TRY(run(db, "PRAGMA journal_mode=WAL; PRAGMA locking_mode=EXCLUSIVE;"
+                   "PRAGMA user_version=1;"));
     TL_TRY(run(db, schema));
     for (int i = 0; i < STATEMENT_COUNT; i++)
         TL_TRY(err_of(db, sqlite3_prepare_v3(db->db, texts[i], -1, SQLITE_PREPARE_PERSISTENT,

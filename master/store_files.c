@@ -12,6 +12,7 @@
 
 #include "common/log.h"
 #include "common/mem.h"
+#include "master/durable.h"
 
 enum err segments_init(struct segments *s, const char *dir)
 {
@@ -53,7 +54,7 @@ static enum err sync_path(const char *path)
     int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (fd < 0)
         return err_from_errno(errno);
-    enum err e = fsync(fd) == 0 ? ERR_OK : err_from_errno(errno);
+    enum err e = durable_sync(fd);
     (void)close(fd);
     return e;
 }
@@ -208,8 +209,9 @@ enum err segments_sync(struct segments *s)
     enum err first = ERR_OK;
     for (int i = 0; i < SEGMENTS_OPEN_MAX; i++) {
         struct segment *g = &s->open[i];
-        if (g->job && g->bytes > g->bytes_counted && fdatasync(g->fd) != 0 && first == ERR_OK)
-            first = err_from_errno(errno);
+        enum err e = g->job && g->bytes > g->bytes_counted ? durable_data_sync(g->fd) : ERR_OK;
+        if (first == ERR_OK)
+            first = e;
     }
     return first;
 }
