@@ -350,8 +350,9 @@ static void choose_exposures(struct work *w, const float *reference, struct flip
     double c = aces[2] - ACES_TARGET * aces[5];
     double target = (-b + sqrt(b * b - 4 * a * c)) / (2 * a);
     double top = (double)luminance[w->pixels - 1];
-    double median =
-        0.5 * ((double)luminance[(w->pixels - 1) / 2] + (double)luminance[w->pixels / 2]);
+    /* Of an even number the upper one, as the authors' program has it: in a picture of two tones
+     * the other choice asks for another exposure. */
+    double median = (double)luminance[w->pixels / 2];
     out->exposure_start = log2(target / (top > 1e-4 ? top : 1e-4));
     out->exposure_stop = log2(target / (median > 1e-4 ? median : 1e-4));
     double span = ceil(out->exposure_stop - out->exposure_start);

@@ -4,7 +4,8 @@
  * High Dynamic Range Images" (Eurographics Short Papers), over LDR-FLIP: Andersson et al.
  * 2020 (HPG). Seen at 67 pixels per degree, tone-mapped by ACES at as many exposures as the
  * reference asks for; the largest error of a pixel counts. 0: the same; 1: black against
- * white. Negative and non-finite values count as black.
+ * white. Negative and non-finite values count as black. Within 5e-6 of the package flip-evaluator
+ * in the mean (tests/numerics/flip_peer.py).
  *
  * Pure apart from memory; one thread per call. Test: tests/e2e against the authors' program's
  * figures; test_cli_metrics for closed forms.

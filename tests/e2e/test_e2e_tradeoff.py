@@ -240,3 +240,35 @@ def test_study_on_a_farm(tmp_path):
         status, jobs = farm.request("GET", "/api/v1/jobs?limit=1000")
         assert status == 200 and jobs["items"]
         assert {j["state"] for j in jobs["items"]} <= {"done", "cancelled"}
+
+
+# --- compare ----------------------------------------------------------------
+
+def test_flip_of_two_tones(tmp_path):
+    """Half the pixels dark, half bright: which of them is the median decides the exposures.
+
+    Figures of flip-evaluator 1.7; tests/numerics/flip_peer.py runs the package itself.
+    """
+    y, x = numpy.mgrid[0:48, 0:72]
+    reference = ((x // 9 + y // 8) % 2)[..., None] * numpy.array([3.0, 0.4, 0.1]) + 0.05
+    test = reference * 1.2
+    test[20:24, 30:40] = 12
+    exr_pixels.write(tmp_path / "test.exr", test)
+    exr_pixels.write(tmp_path / "reference.exr", reference)
+    done = tilery("compare", tmp_path / "test.exr", tmp_path / "reference.exr", "--flip", "--json")
+    got = json.loads(done.stdout)
+    assert got["flip_mean"] == pytest.approx(0.2265870, abs=2e-5)
+    assert got["flip_p95"] == pytest.approx(0.3092576, abs=1e-4)
+
+
+def test_compare_refusals(tmp_path):
+    """Pictures that cannot be held against each other: which, and why."""
+    grey = numpy.full((4, 6, 3), 0.5, dtype=numpy.float32)
+    exr_pixels.write(tmp_path / "a.exr", grey)
+    exr_pixels.write(tmp_path / "wide.exr", grey[:, :5])
+    data = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "other.exr").write_bytes(data.replace(b"B\0\2\0\0\0", b"X\0\2\0\0\0", 1))
+    done = tilery("compare", tmp_path / "a.exr", tmp_path / "wide.exr")
+    assert done.returncode == 3 and "6x4" in done.stderr and "5x4" in done.stderr
+    done = tilery("compare", tmp_path / "other.exr", tmp_path / "a.exr")
+    assert done.returncode == 3 and 'no channel "B"' in done.stderr
