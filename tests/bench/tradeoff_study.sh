@@ -1,0 +1,29 @@
+#!/bin/sh
+# tradeoff_study.sh: the studies that docs/TRADEOFF.md quotes: four scenes, their plots and tables.
+#
+#   refract    scenes/cbox_no_light_refract.json, a point light and a disc that refracts
+#   cbox       scenes/cbox.json, an area light
+#   veach      scenes/veach.json, glossy plates
+#   sky        196,608 triangles under a sky with a sun (scenes/make_sky.py)
+#
+# usage: tests/bench/tradeoff_study.sh OUT_DIR [SECONDS]    (180 for each; the release build)
+# Plots go to OUT_DIR/NAME/tradeoff.svg; the tables, in Markdown, to standard output.
+set -eu
+cd "$(dirname "$0")/../.."
+out=$1
+seconds=${2:-180}
+bin=build/release/bin
+mkdir -p "$out"
+python3 scenes/make_sky.py "$bin/gen_mesh" "$out/scene" >/dev/null
+
+study() { # NAME SCENE
+    nice -n 5 "$bin/tilery" tradeoff "$2" -o "$out/$1" --budget "$seconds" --quiet 2>/dev/null
+}
+
+study refract scenes/cbox_no_light_refract.json
+study cbox scenes/cbox.json
+study veach scenes/veach.json
+study sky "$out/scene/sky.json"
+grep -m1 'model name' /proc/cpuinfo | sed 's/.*: //'
+echo "$(nproc) cores, commit $(git rev-parse --short HEAD), $seconds s a scene"
+python3 tests/bench/tradeoff_table.py "$out/refract" "$out/cbox" "$out/veach" "$out/sky"
