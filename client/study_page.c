@@ -16,7 +16,7 @@ static const char style[] =
     "body { margin: 0 auto; max-width: 72rem; padding: 1.5rem; background: var(--ink0);"
     " color: var(--ink1); font: 16px/1.5 system-ui, sans-serif }\n"
     "h1 { font-size: 1.6rem; margin: 0 0 .3rem } h2 { font-size: 1.2rem; margin: 2rem 0 .5rem }\n"
-    "p, li { max-width: 50rem } .muted, caption { color: var(--ink2) }\n"
+    "p { max-width: 50rem } .muted { color: var(--ink2) }\n"
     ".cards { display: grid; gap: 1rem; grid-template-columns: repeat(auto-fit, minmax(17rem, "
     "1fr)) }\n"
     ".card { border: 1px solid var(--ink3); border-radius: .5rem; padding: .8rem 1rem }\n"
@@ -24,7 +24,6 @@ static const char style[] =
     "code, pre { font: 13px/1.4 ui-monospace, monospace; overflow-x: auto }\n"
     "pre { background: var(--ink3); padding: .4rem .6rem; border-radius: .3rem; margin: .4rem 0 }\n"
     ".scroll { overflow-x: auto } table { border-collapse: collapse; width: 100% }\n"
-    "caption { text-align: left; padding: .3rem 0 }\n"
     "th, td { text-align: right; padding: .2rem .6rem; border-bottom: 1px solid var(--ink3);"
     " white-space: nowrap } small { color: var(--ink2) } th:first-child, td:first-child, "
     "td:last-child { text-align: left }\n"
@@ -271,18 +270,21 @@ static void put_row(const struct study *s, const struct study_point *p, struct b
     put_cell(p->error, out);
     put_cell(study_gain(s, p), out);
     buf_printf(out, "<td>%s</td>", variance);
-    buf_printf(out, "<td%s>%s &plusmn; %s</td><td>%s</td><td>%s%s%s</td></tr>\n",
+    buf_printf(out, "<td%s>%s &plusmn; %s</td><td>%s</td><td>%s%s%s",
                study_biased(p) ? " class=\"bias\"" : "", bias, se, bytes, p->own ? "base; " : "",
                p->front ? "front; " : "", p->same_bits ? "base's bits" : "");
+    if (p->knob == KNOB_ADAPTIVE)
+        buf_printf(out, "mean %.1f spp", p->spp_mean);
+    buf_printf(out, "</td></tr>\n");
 }
 
 static void put_table(const struct study *s, struct buf *out)
 {
     buf_printf(out,
-               "<h2>All points</h2>\n<div class=\"scroll\"><table><caption>Small: 95 %% intervals. "
-               "Gain: how many times "
-               "less work than the base for one error. Bias&sup2; in bold is surely there: more "
-               "samples do not take it away.</caption>\n<tr><th>setting</th><th>renders</th>"
+               "<h2>All points</h2>\n<p class=\"muted\">Small: 95 %% intervals. Gain: how many "
+               "times less work than the base for one error. Bias&sup2; in bold is surely there: "
+               "more samples do not take it away.</p>\n<div "
+               "class=\"scroll\"><table>\n<tr><th>setting</th><th>renders</th>"
                "<th>core-seconds</th><th>relMSE</th><th>gain</th><th>variance</th>"
                "<th>bias&sup2; &plusmn; se</th><th>file</th><th></th></tr>\n");
     for (uint32_t i = 0; i < s->point_count; i++)

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "client/human.h"
+#include "client/study_write.h"
 
 enum { LEFT = 92, RIGHT = 250, TOP = 56, BOTTOM = 64 };
 enum { POINT_SIZE = 6, SMALL_TEXT = 13, TEXT = 15, TITLE_TEXT = 18 };
@@ -223,7 +224,7 @@ static void draw_point(struct canvas *c, const struct frame *f, const struct stu
     canvas_mark(c, &mark);
     if (p->knob == KNOB_SPP)
         words(c, mark.x - 9, mark.y + 16, SMALL_TEXT, ALIGN_RIGHT, study_ink(p->knob), p->label);
-    else if (p->knob == KNOB_PRESET || p->knob == KNOB_DEPTH)
+    else if (p->knob == KNOB_PRESET || (p->knob == KNOB_DEPTH && study_biased(p)))
         words(c, mark.x + 10, mark.y - 8, SMALL_TEXT, ALIGN_LEFT, study_ink(p->knob), p->label);
 }
 
