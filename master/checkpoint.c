@@ -11,7 +11,8 @@
 #include "master/durable.h"
 
 enum {
-    CHECKPOINT_MAGIC = 0x31434c54, /* "TLC1" */
+    CHECKPOINT_MAGIC = 0x32434c54,   /* "TLC2" */
+    CHECKPOINT_MAGIC_1 = 0x31434c54, /* "TLC1" */
     NUMBERS_BYTES_MAX = 4096,
     PIECE_BYTES = 1 << 18, /* of one write: few system calls, little memory */
 };
@@ -144,6 +145,8 @@ static enum err write_contents(const char *path, const struct checkpoint *c,
     if (e == ERR_OK)
         e = film_save(film, stream_write, &s);
     if (e == ERR_OK)
+        e = provenance_save(&c->provenance, stream_write, &s);
+    if (e == ERR_OK)
         e = stream_flush(&s);
     if (e == ERR_OK) {
         digest d = digest_end(&s.hash);
@@ -187,14 +190,15 @@ enum err checkpoint_write(const char *path, const struct checkpoint *c, const st
     return e;
 }
 
-static enum err read_header(struct stream *s, uint64_t job, struct checkpoint *out)
+static enum err read_header(struct stream *s, uint64_t job, struct checkpoint *out, bool *plain)
 {
     unsigned char head[24], numbers[NUMBERS_BYTES_MAX];
     TL_TRY(stream_read(s, head, sizeof head));
     struct buf_reader r = buf_reader_of(head, sizeof head);
     uint32_t magic = buf_get_u32(&r), numbers_bytes = buf_get_u32(&r);
     *out = (struct checkpoint){.job = buf_get_u64(&r), .covered_sequence = buf_get_u64(&r)};
-    if (magic != CHECKPOINT_MAGIC || out->job != job || numbers_bytes > sizeof numbers)
+    *plain = magic == CHECKPOINT_MAGIC_1;
+    if ((magic != CHECKPOINT_MAGIC && !*plain) || out->job != job || numbers_bytes > sizeof numbers)
         return ERR_CORRUPT;
     TL_TRY(stream_read(s, numbers, numbers_bytes));
     return job_numbers_get(numbers, numbers_bytes, &out->totals, &out->stats);
@@ -207,12 +211,15 @@ enum err checkpoint_read(const char *path, uint64_t job, const struct grid *grid
     struct stream s;
     TL_TRY(stream_init(&s));
     bool hashing = true;
-    struct checkpoint read;
+    struct checkpoint read = {0};
+    bool plain = false;
     struct film *loaded = NULL;
     s.fd = open(path, O_RDONLY | O_CLOEXEC);
-    enum err e = s.fd < 0 ? err_from_errno(errno) : read_header(&s, job, &read);
+    enum err e = s.fd < 0 ? err_from_errno(errno) : read_header(&s, job, &read, &plain);
     if (e == ERR_OK)
         e = film_load(grid, blocks, stream_read, &s, &loaded);
+    if (e == ERR_OK && !plain)
+        e = provenance_load(grid->cell_count, blocks->count, stream_read, &s, &read.provenance);
     if (e == ERR_OK) {
         digest found = digest_end(&s.hash), stored;
         hashing = false;
@@ -223,6 +230,7 @@ enum err checkpoint_read(const char *path, uint64_t job, const struct grid *grid
     stream_release(&s, hashing);
     if (e != ERR_OK) {
         film_free(loaded);
+        provenance_release(&read.provenance);
         return e;
     }
     *out = read;

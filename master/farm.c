@@ -67,6 +67,7 @@ static void tell_unit_lost(struct farm *f, const struct sched_action *a)
              " so far%s); others take them",
              a->unit.cell_begin, a->unit.cell_begin + a->unit.cell_count - 1, a->unit.block,
              a->worker, a->losses, a->alone ? ", alone" : "");
+    verify_keep_blame(f, job, a);
     jobs_changed(f, job, false);
 }
 
@@ -103,7 +104,11 @@ static void act(struct farm *f, const struct sched_action *a)
         results_accept(f, a);
         break;
     case SCHED_COMPARE:
-        results_compare(f, a);
+        verify_compare(f, a);
+        break;
+    case SCHED_CHECK_OPENED:
+    case SCHED_CHECK_CLOSED:
+        verify_check(f, a);
         break;
     case SCHED_VOTE:
     case SCHED_IGNORE:
@@ -124,7 +129,7 @@ static void act(struct farm *f, const struct sched_action *a)
         tell_unit_lost(f, a);
         break;
     case SCHED_LIAR:
-        results_reset_liar(f, a);
+        verify_liar(f, a);
         break;
     }
 }
@@ -392,4 +397,5 @@ void farm_release(struct farm *f)
     events_free(f->events);
     arena_release(&f->arena);
     mem_free(f->later);
+    mem_free(f->pasts);
 }

@@ -6,6 +6,7 @@
  *   jobs.c       the table of jobs: submit, admit, pause, cancel, finish, retention
  *   job_film.c   a job's film: load, checkpoint, finish, picture
  *   results.c    a result's way: decode, check, schedule, store, film, acknowledge
+ *   verify.c     results that are compared; liars; what is remembered of losses and pauses
  *   workers.c    connections: hello, leases out, heartbeats, loss
  *   chunks.c     scene chunks by SHA-256
  *   events.c     news for people: event stream and logs
@@ -60,19 +61,20 @@ struct job {
     /* While the scheduler knows it. */
     bool in_sched, sched_done;
     void *sched_memory;
-    uint64_t *spot_hash;   /* per block * cells + cell: of the accepted bits; 0: not known */
-    uint32_t *spot_worker; /* who gave them */
-    double done_share;     /* last known, for when the scheduler has forgotten it */
+    struct sched_blame *blame; /* units that lost workers, for a scheduler that starts anew */
+    size_t blame_count, blame_capacity;
+    double done_share; /* last known, for when the scheduler has forgotten it */
 
     /* Film and journal. */
-    struct film *film;      /* NULL: not loaded, or nothing rendered yet */
-    bool has_stored;        /* the store holds a checkpoint or results */
-    uint32_t film_users;    /* readers and operations that need it to stay */
-    uint64_t film_used_at;  /* for eviction */
-    uint64_t sequence;      /* of the last result handed to the store */
-    uint64_t settled;       /* up to here the store has answered */
-    uint32_t in_store;      /* results handed over and not yet answered */
-    uint64_t journal_bytes; /* since the last checkpoint */
+    struct film *film;            /* NULL: not loaded, or nothing rendered yet */
+    struct provenance provenance; /* of what is in it; empty: not known, or done */
+    bool has_stored;              /* the store holds a checkpoint or results */
+    uint32_t film_users;          /* readers and operations that need it to stay */
+    uint64_t film_used_at;        /* for eviction */
+    uint64_t sequence;            /* of the last result handed to the store */
+    uint64_t settled;             /* up to here the store has answered */
+    uint32_t in_store;            /* results handed over and not yet answered */
+    uint64_t journal_bytes;       /* since the last checkpoint */
     bool checkpointing, finishing, loading, estimating, record_dirty;
     int64_t estimated_ms, estimate_took_ms; /* of the error so far: when last, and how long */
     uint64_t estimated_count;               /* cell-blocks that were in it */
@@ -135,7 +137,9 @@ struct farm {
     struct worker **workers; /* by rising id */
     size_t worker_count, worker_capacity;
     uint64_t worker_next;
-    struct idempotency *keys; /* jobs.c */
+    struct idempotency *keys;  /* jobs.c */
+    struct worker_past *pasts; /* of workers that lied or were set aside, ever */
+    size_t past_count, past_capacity;
 
     uint64_t id;          /* random per data directory */
     uint64_t epoch_limit; /* on disk: no epoch reaches it */
@@ -263,7 +267,8 @@ const char *jobs_note(const struct farm *f, const struct job *job);
 /* --- job_film.c ----------------------------------------------------------- */
 
 TL_NODISCARD enum err job_need_grid(struct job *job);
-TL_NODISCARD enum err job_need_film(struct job *job); /* an empty one if there is none */
+TL_NODISCARD enum err job_need_film(struct job *job);       /* an empty one if there is none */
+TL_NODISCARD enum err job_need_provenance(struct job *job); /* likewise; the grid is there */
 
 /* Reads the film of an ended job back on the pool, so that it can go on; job->loading meanwhile.
  * A checkpoint that cannot be read fails the job. */
@@ -294,15 +299,41 @@ void job_films_evict(struct farm *f);
 /* Takes `body`. */
 void results_take(struct farm *f, struct worker *w, const tilery_Result *m, unsigned char *body,
                   size_t body_bytes);
-/* The scheduler's answers about farm.answering. */
+/* The scheduler's answer about farm.answering. */
 void results_accept(struct farm *f, const struct sched_action *a);
-void results_compare(struct farm *f, const struct sched_action *a);
-/* Cells that a liar touched start again. */
-void results_reset_liar(struct farm *f, const struct sched_action *a);
+/* Of that result: the hashes of a run of its cells, and who gave it. */
+const uint64_t *results_answering(const struct farm *f, struct unit run, uint64_t *worker);
 
-/* Adds one journal record to film and totals at restart (store_replay). */
-enum err results_replay(void *job, struct film *film, const struct journal_result *r,
+/* Adds one step of the journal to film, totals and provenance at restart; ctx of both. */
+struct job_loading {
+    struct job *job;
+    struct checkpoint at;
+};
+enum err results_replay(void *loading, struct film *film, const struct journal_result *r,
                         const unsigned char *body);
+enum err results_replay_note(void *loading, enum store_step_kind kind, struct unit unit);
+
+/* --- verify.c ------------------------------------------------------------- */
+
+/* The scheduler's answers: a run of farm.answering came before; a check opened or closed; a worker
+ * lied: its name is kept, and what it touched in unfinished jobs starts again. */
+void verify_compare(struct farm *f, const struct sched_action *a);
+void verify_check(struct farm *f, const struct sched_action *a);
+void verify_liar(struct farm *f, const struct sched_action *a);
+/* Before a job is admitted: what known liars touched starts again. True: something does, and the
+ * job must wait until that is stored. */
+bool verify_reset_liars(struct farm *f, struct job *job);
+/* For its admission; you own the array; NULL: out of memory. */
+struct sched_open_check *verify_open_checks(const struct job *job, size_t *count);
+
+/* What is remembered of a worker, told to the scheduler before it joins. */
+void verify_keep_past(struct farm *f, const struct worker_past *past);
+void verify_tell_past(struct farm *f, uint64_t worker);
+enum err verify_load_past(void *farm, const struct worker_past *past);
+/* And of units that lost workers (SCHED_UNIT_LOST), until somebody asks for a retry. */
+void verify_keep_blame(struct farm *f, struct job *job, const struct sched_action *a);
+void verify_forget_blame(struct farm *f, struct job *job);
+enum err verify_load_blame(void *farm, uint64_t job, const struct sched_blame *blame);
 
 /* --- workers.c ------------------------------------------------------------ */
 

@@ -345,6 +345,11 @@ enum err film_reset(struct film *f, uint32_t cell_begin, uint32_t cell_count)
     return ERR_OK;
 }
 
+bool film_holds(const struct film *f)
+{
+    return f->held != NULL;
+}
+
 void film_read_begin(struct film *f)
 {
     f->readers++;

@@ -61,6 +61,9 @@ uint64_t film_waiting_bytes(const struct film *f);
 /* Calls `visit` for maximal runs of cells whose block is present, block by block. */
 void film_each_present(const struct film *f, void (*visit)(void *ctx, struct unit run), void *ctx);
 
+/* True while units wait for a reader to end: film_save would not give them. */
+bool film_holds(const struct film *f);
+
 void film_read_begin(struct film *f);
 void film_read_end(struct film *f);
 

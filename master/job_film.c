@@ -21,12 +21,20 @@ enum err job_need_grid(struct job *job)
     return ERR_OK;
 }
 
+enum err job_need_provenance(struct job *job)
+{
+    if (job->provenance.cell_count > 0)
+        return ERR_OK;
+    return provenance_init(&job->provenance, job->grid.cell_count, job->blocks.count);
+}
+
 enum err job_need_film(struct job *job)
 {
     if (job->film)
         return ERR_OK;
     TL_ASSERT(!job->has_stored);
     TL_TRY(job_need_grid(job));
+    TL_TRY(job_need_provenance(job));
     return film_new(&job->grid, &job->blocks, &job->film);
 }
 
@@ -34,26 +42,28 @@ enum err job_load_film(struct farm *f, struct job *job)
 {
     TL_ASSERT(!job->film);
     TL_TRY(job_need_grid(job));
-    struct checkpoint at;
+    struct job_loading loading = {.job = job};
+    struct checkpoint *at = &loading.at;
     struct job_totals before = job->rec.totals;
     job->rec.totals = (struct job_totals){.nonfinite_pixel = UINT64_MAX};
     enum err e = store_load_film(f->store, job->rec.id, &job->grid, &job->blocks, results_replay,
-                                 job, &job->film, &at, &job->sequence);
+                                 results_replay_note, &loading, &job->film, at, &job->sequence);
     if (e != ERR_OK) {
         job->rec.totals = before;
         return e;
     }
     /* The replay has added what lies behind the checkpoint. */
     struct job_totals *t = &job->rec.totals;
-    t->units += at.totals.units;
-    t->samples += at.totals.samples;
-    t->rays += at.totals.rays;
-    t->render_us += at.totals.render_us;
-    t->nonfinite += at.totals.nonfinite;
-    t->result_bytes += at.totals.result_bytes;
-    if (at.totals.nonfinite_pixel != UINT64_MAX) {
-        t->nonfinite_pixel = at.totals.nonfinite_pixel;
-        t->nonfinite_sample = at.totals.nonfinite_sample;
+    job->provenance = at->provenance;
+    t->units += at->totals.units;
+    t->samples += at->totals.samples;
+    t->rays += at->totals.rays;
+    t->render_us += at->totals.render_us;
+    t->nonfinite += at->totals.nonfinite;
+    t->result_bytes += at->totals.result_bytes;
+    if (at->totals.nonfinite_pixel != UINT64_MAX) {
+        t->nonfinite_pixel = at->totals.nonfinite_pixel;
+        t->nonfinite_sample = at->totals.nonfinite_sample;
     }
     job->settled = job->sequence;
     job->has_stored = true;
@@ -105,7 +115,9 @@ static void checkpoint_done(void *ctx, enum err e)
 
 void job_checkpoint(struct farm *f, struct job *job)
 {
-    if (job->checkpointing || !job->film)
+    /* What another reader holds up is settled but would not be in the file: when that reader ends,
+     * job_film_changed comes again. */
+    if (job->checkpointing || !job->film || film_holds(job->film))
         return;
     struct job_ref *ref = mem_alloc(sizeof *ref);
     struct checkpoint c = {.job = job->rec.id,
@@ -115,9 +127,16 @@ void job_checkpoint(struct farm *f, struct job *job)
     if (!ref)
         return; /* the next result tries again */
     *ref = (struct job_ref){f, job->rec.id, job->journal_bytes};
+    /* Of a finished job nothing is compared any more. */
+    if (job->rec.state != JOB_STATE_DONE && job->provenance.cell_count > 0 &&
+        provenance_copy(&job->provenance, &c.provenance) != ERR_OK) {
+        mem_free(ref);
+        return;
+    }
     film_hold(job);
     if (store_put_checkpoint(f->store, &c, job->film, checkpoint_done, ref) != ERR_OK) {
         film_let_go(f, job);
+        provenance_release(&c.provenance);
         mem_free(ref);
         return;
     }
@@ -134,14 +153,14 @@ struct fetch {
     struct job_blocks blocks;
     char *path; /* owned */
     struct film *film;
+    struct checkpoint at;
     enum err result;
 };
 
 static void fetch_run(uv_work_t *request)
 {
     struct fetch *w = request->data;
-    struct checkpoint at;
-    w->result = checkpoint_read(w->path, w->job, w->grid, &w->blocks, &at, &w->film);
+    w->result = checkpoint_read(w->path, w->job, w->grid, &w->blocks, &w->at, &w->film);
 }
 
 static void fetch_after(uv_work_t *request, int status)
@@ -153,9 +172,11 @@ static void fetch_after(uv_work_t *request, int status)
     job->loading = false;
     job->film_users--;
     enum err e = status == 0 ? w->result : ERR_CANCELLED;
-    if (e == ERR_OK)
+    if (e == ERR_OK) {
         job->film = w->film;
-    else if (!f->stopping)
+        provenance_release(&job->provenance);
+        job->provenance = w->at.provenance;
+    } else if (!f->stopping)
         jobs_fail(f, job, e == ERR_NOMEM ? "out of memory" : "its checkpoint cannot be read");
     f->admit_due = true;
     mem_free(w->path);
@@ -317,6 +338,7 @@ static void finish_after(uv_work_t *request, int status)
         job->rec.state = JOB_STATE_DONE;
         job->rec.note[0] = '\0';
         job->done_share = 1;
+        provenance_release(&job->provenance);
         fill_stats(job, w);
         jobs_store_record(f, job);
         log_info("jobs", "done job=j%" PRIu64 " seconds=%.3f", job->rec.id, job->rec.stats.total_s);
@@ -387,6 +409,7 @@ void job_films_evict(struct farm *f)
         total -= film_bytes_of(&oldest->spec);
         film_free(oldest->film);
         oldest->film = NULL;
+        provenance_release(&oldest->provenance);
         grid_release(&oldest->grid);
         oldest->grid_ready = false;
     }
@@ -527,8 +550,10 @@ static void picture_run(uv_work_t *request)
     if (w->result != ERR_OK)
         return;
     w->result = checkpoint_read(w->path, w->job, &grid, &w->blocks, &at, &film);
-    if (w->result == ERR_OK)
+    if (w->result == ERR_OK) {
         w->result = draw(w, film);
+        provenance_release(&at.provenance);
+    }
     film_free(film);
     grid_release(&grid);
 }

@@ -256,8 +256,8 @@ static void job_free(struct job *job)
     if (job->grid_ready)
         grid_release(&job->grid);
     mem_free(job->sched_memory);
-    mem_free(job->spot_hash);
-    mem_free(job->spot_worker);
+    provenance_release(&job->provenance);
+    mem_free(job->blame);
     mem_free(job->seen);
     mem_free(job);
 }
@@ -354,21 +354,15 @@ static enum err make_tables(struct job *job)
     size_t bytes = sched_job_bytes(job->grid.cell_count, job->blocks.count);
     if (bytes == 0)
         return ERR_LIMIT;
-    uint64_t spots = (uint64_t)job->grid.cell_count * job->blocks.count;
+    TL_TRY(job_need_provenance(job));
     job->sched_memory = mem_alloc_aligned(bytes, 64);
-    job->spot_hash = mem_calloc(spots, sizeof *job->spot_hash);
-    job->spot_worker = mem_calloc(spots, sizeof *job->spot_worker);
-    return job->sched_memory && job->spot_hash && job->spot_worker ? ERR_OK : ERR_NOMEM;
+    return job->sched_memory ? ERR_OK : ERR_NOMEM;
 }
 
 static void free_tables(struct job *job)
 {
     mem_free(job->sched_memory);
-    mem_free(job->spot_hash);
-    mem_free(job->spot_worker);
     job->sched_memory = NULL;
-    job->spot_hash = NULL;
-    job->spot_worker = NULL;
 }
 
 /* What one result frame can carry. */
@@ -384,7 +378,9 @@ static enum err admit(struct farm *f, struct job *job)
     enum err e = make_tables(job);
     if (e == ERR_OK && job->film)
         film_each_present(job->film, note_done, &done);
-    if (e == ERR_OK && done.failed)
+    size_t check_count = 0;
+    struct sched_open_check *checks = e == ERR_OK ? verify_open_checks(job, &check_count) : NULL;
+    if (e == ERR_OK && (done.failed || !checks))
         e = ERR_NOMEM;
     if (e == ERR_OK) {
         uint64_t pixels = (uint64_t)job->spec.crop.width * job->spec.crop.height;
@@ -401,13 +397,18 @@ static enum err admit(struct farm *f, struct job *job)
                     .paused = job->rec.state == JOB_STATE_PAUSED,
                     .memory = job->sched_memory,
                     .done = done.items,
-                    .done_count = done.count}};
+                    .done_count = done.count,
+                    .blame = job->blame,
+                    .blame_count = job->blame_count,
+                    .checks = checks,
+                    .check_count = check_count}};
         job->in_sched = true;
         job->sched_done = false;
         f->sched_jobs++;
         farm_feed(f, &event);
     }
     mem_free(done.items);
+    mem_free(checks);
     if (e != ERR_OK)
         free_tables(job);
     return e;
@@ -422,7 +423,9 @@ void jobs_admit(struct farm *f)
             (job->rec.state != JOB_STATE_QUEUED && job->rec.state != JOB_STATE_RENDERING) ||
             !shots_may_enter(f, job))
             continue;
-        if (job->film && film_complete(job->film)) {
+        if (verify_reset_liars(f, job))
+            continue; /* goes on when that is stored */
+        if (job->film && film_complete(job->film) && job->provenance.check_count == 0) {
             job->sched_done = true;
             job_film_changed(f, job);
             continue;
@@ -540,6 +543,8 @@ static enum err ask_queue(struct farm *f, struct job *job)
         return ERR_STATE;
     if (job->has_stored && !job->film)
         TL_TRY(job_fetch_film(f, job)); /* it had left memory */
+    if (job_state_ended(job->rec.state))
+        verify_forget_blame(f, job);
     job->rec.state = JOB_STATE_QUEUED;
     job->rec.note[0] = '\0';
     job->rec.finished_us = 0;
@@ -665,7 +670,8 @@ enum err jobs_load(struct farm *f)
         return ERR_NOMEM;
     uint64_t next;
     enum err e = store_load_value(f->store, "job_next", &next, sizeof next);
-    struct store_visitor v = {f, load_job, load_event, load_key};
+    struct store_visitor v = {f,        load_job,          load_event,
+                              load_key, verify_load_blame, verify_load_past};
     TL_TRY(store_load(f->store, &v));
     if (e == ERR_OK && next > f->job_next)
         f->job_next = next;

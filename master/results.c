@@ -52,23 +52,19 @@ static void settle(struct result *r)
 
 /* --- Decoding, on the pool or the loop ---------------------------------- */
 
-static uint64_t hash_cell(const struct result *r, uint64_t first, uint64_t pixels)
+/* A hash of the bits of one cell of a run of `pixels`, which begins at pixel `first`. */
+static uint64_t hash_cell(const float *values, uint32_t planes, uint64_t pixels, uint64_t first,
+                          uint64_t cell_pixels)
 {
     struct digest_ctx c;
     if (digest_begin(&c) != ERR_OK)
         return 0; /* not known: never compared */
-    for (uint64_t plane = 0; plane < r->planes; plane++)
-        digest_add(&c, r->values + plane * r->pixels + first, pixels * sizeof(float));
+    for (uint64_t plane = 0; plane < planes; plane++)
+        digest_add(&c, values + plane * pixels + first, cell_pixels * sizeof(float));
     digest d = digest_end(&c);
     uint64_t hash;
     memcpy(&hash, d.bytes, sizeof hash);
     return hash | 1; /* 0 means: not known */
-}
-
-static uint64_t fold(uint64_t so_far, uint64_t cell_hash)
-{
-    uint64_t mixed = (so_far ^ cell_hash) * UINT64_C(0x9e3779b97f4a7c15);
-    return mixed ^ (mixed >> 29);
 }
 
 static void decode(struct result *r)
@@ -87,8 +83,8 @@ static void decode(struct result *r)
         }
     uint64_t first = 0;
     for (uint32_t i = 0; i < r->record.unit.cell_count; i++) {
-        r->cell_hash[i] = hash_cell(r, first, r->cell_pixels[i]);
-        r->hash = fold(r->hash, r->cell_hash[i]);
+        r->cell_hash[i] = hash_cell(r->values, r->planes, r->pixels, first, r->cell_pixels[i]);
+        r->hash = provenance_fold(r->hash, r->cell_hash[i]);
         first += r->cell_pixels[i];
     }
 }
@@ -381,16 +377,6 @@ static enum err cut_record(struct result *r, struct unit run, struct storing *s,
     return ERR_OK;
 }
 
-static void note_spots(struct job *job, const struct result *r, struct unit run)
-{
-    uint32_t skip = run.cell_begin - r->record.unit.cell_begin;
-    uint64_t spot = (uint64_t)run.block * job->grid.cell_count + run.cell_begin;
-    for (uint32_t i = 0; i < run.cell_count; i++) {
-        job->spot_hash[spot + i] = r->cell_hash[skip + i];
-        job->spot_worker[spot + i] = r->record.worker;
-    }
-}
-
 void results_accept(struct farm *f, const struct sched_action *a)
 {
     struct result *r = f->answering;
@@ -407,7 +393,8 @@ void results_accept(struct farm *f, const struct sched_action *a)
         jobs_fail(f, job, err_text(e));
         return;
     }
-    note_spots(job, r, a->unit);
+    provenance_note(&job->provenance, a->unit, r->record.worker,
+                    r->cell_hash + (a->unit.cell_begin - r->record.unit.cell_begin));
     s->result = r;
     s->record.sequence = ++job->sequence;
     r->runs_open++;
@@ -424,138 +411,38 @@ void results_accept(struct farm *f, const struct sched_action *a)
     }
 }
 
-/* --- Comparing ---------------------------------------------------------- */
-
-void results_compare(struct farm *f, const struct sched_action *a)
+const uint64_t *results_answering(const struct farm *f, struct unit run, uint64_t *worker)
 {
-    struct result *r = f->answering;
-    struct job *job = farm_job(f, a->job);
-    TL_ASSERT(r);
-    if (!job || !job->spot_hash)
-        return;
-    uint32_t skip = a->unit.cell_begin - r->record.unit.cell_begin;
-    uint64_t spot = (uint64_t)a->unit.block * job->grid.cell_count + a->unit.cell_begin;
-    const uint64_t *known = job->spot_hash + spot;
-    const uint32_t *who = job->spot_worker + spot;
-    for (uint32_t i = 0; i < a->unit.cell_count;) {
-        if (known[i] == 0 || known[i] == r->cell_hash[skip + i]) {
-            i++;
-            continue;
-        }
-        struct sched_event event = {.type = SCHED_MISMATCH,
-                                    .worker = r->worker,
-                                    .job = a->job,
-                                    .mismatch = {.unit = {a->unit.cell_begin + i, 0, a->unit.block},
-                                                 .worker_accepted = who[i]}};
-        struct sched_mismatch *m = &event.mismatch;
-        for (; i < a->unit.cell_count && who[i] == m->worker_accepted && known[i] != 0 &&
-               known[i] != r->cell_hash[skip + i];
-             i++) {
-            m->unit.cell_count++;
-            m->digest_accepted = fold(m->digest_accepted, known[i]);
-            m->digest = fold(m->digest, r->cell_hash[skip + i]);
-        }
-        jobs_log(f, job,
-                 "w%" PRIu64 " and w%" PRIu64 " differ in %" PRIu32 " cells of block %" PRIu32,
-                 r->worker, m->worker_accepted, m->unit.cell_count, m->unit.block);
-        farm_feed(f, &event);
-    }
-}
-
-/* A reset on its way to the disk: the film forgets in the order of the journal. */
-struct resetting {
-    struct farm *farm;
-    uint64_t job, sequence;
-    uint32_t cell_begin, cell_count;
-};
-
-static void on_reset_stored(void *ctx, enum err e)
-{
-    struct resetting *s = ctx;
-    struct job *job = farm_job(s->farm, s->job);
-    TL_ASSERT(job && job->in_store > 0);
-    job->in_store--;
-    job->settled = s->sequence;
-    if (e == ERR_OK && job->film)
-        e = film_reset(job->film, s->cell_begin, s->cell_count);
-    if (e != ERR_OK)
-        jobs_fail(s->farm, job, err_text(e));
-    mem_free(s);
-}
-
-static void reset_run(struct farm *f, struct job *job, uint32_t begin, uint32_t count)
-{
-    struct resetting *s = mem_alloc(sizeof *s);
-    if (!s) {
-        jobs_fail(f, job, err_text(ERR_NOMEM));
-        return;
-    }
-    *s = (struct resetting){f, job->rec.id, ++job->sequence, begin, count};
-    job->in_store++;
-    if (store_put_reset(f->store, job->rec.id, s->sequence, begin, count, on_reset_stored, s) !=
-        ERR_OK) {
-        job->in_store--;
-        mem_free(s);
-        jobs_fail(f, job, err_text(ERR_NOMEM));
-        return;
-    }
-    for (uint64_t block = 0; block < job->blocks.count; block++) {
-        uint64_t spot = block * job->grid.cell_count + begin;
-        memset(job->spot_hash + spot, 0, count * sizeof *job->spot_hash);
-        memset(job->spot_worker + spot, 0, count * sizeof *job->spot_worker);
-    }
-    struct sched_event event = {
-        .type = SCHED_CELLS_RESET, .job = job->rec.id, .unit = {begin, count, 0}};
-    farm_feed(f, &event);
-}
-
-static bool touched(const struct job *job, uint64_t worker, uint32_t cell)
-{
-    for (uint64_t block = 0; block < job->blocks.count; block++)
-        if (job->spot_worker[block * job->grid.cell_count + cell] == worker)
-            return true;
-    return false;
-}
-
-void results_reset_liar(struct farm *f, const struct sched_action *a)
-{
-    /* Fed while actions are drained: comes after every reset below. */
-    struct sched_event settled = {.type = SCHED_LIAR_SETTLED};
-    if (a->worker == 0) {
-        farm_feed(f, &settled);
-        return;
-    }
-    log_error("results", "worker gave wrong bits worker=w%" PRIu64 " job=j%" PRIu64, a->worker,
-              a->job);
-    for (size_t i = 0; i < f->job_count; i++) {
-        struct job *job = f->jobs[i];
-        if (!job->in_sched || !job->spot_worker)
-            continue;
-        uint32_t cells = 0;
-        for (uint32_t cell = 0; cell < job->grid.cell_count; cell++) {
-            uint32_t begin = cell;
-            while (cell < job->grid.cell_count && touched(job, a->worker, cell))
-                cell++;
-            if (cell > begin)
-                reset_run(f, job, begin, cell - begin);
-            cells += cell - begin;
-        }
-        if (cells > 0)
-            jobs_log(f, job, "w%" PRIu64 " lied and is set aside; %" PRIu32 " cells start again",
-                     a->worker, cells);
-    }
-    farm_feed(f, &settled);
-    struct worker *w = farm_worker(f, a->worker);
-    if (w)
-        workers_changed(f, w);
+    const struct result *r = f->answering;
+    TL_ASSERT(r && run.cell_begin >= r->record.unit.cell_begin);
+    *worker = r->worker;
+    return r->cell_hash + (run.cell_begin - r->record.unit.cell_begin);
 }
 
 /* --- Replaying ---------------------------------------------------------- */
 
+/* Whose bits they are, as when they came. */
+static enum err note_replayed(struct job *job, struct provenance *p, const struct journal_result *r,
+                              const float *values, uint64_t pixels)
+{
+    if (p->cell_count == 0)
+        TL_TRY(provenance_init(p, job->grid.cell_count, job->blocks.count));
+    uint64_t first = 0;
+    for (uint32_t i = 0; i < r->unit.cell_count; i++) {
+        uint32_t cell = r->unit.cell_begin + i;
+        uint64_t cell_pixels = grid_pixels(&job->grid, cell, 1);
+        uint64_t hash = hash_cell(values, job->grid.plane_count, pixels, first, cell_pixels);
+        provenance_note(p, (struct unit){cell, 1, r->unit.block}, r->worker, &hash);
+        first += cell_pixels;
+    }
+    return ERR_OK;
+}
+
 enum err results_replay(void *ctx, struct film *film, const struct journal_result *r,
                         const unsigned char *body)
 {
-    struct job *job = ctx;
+    struct job_loading *loading = ctx;
+    struct job *job = loading->job;
     if (!grid_has_unit(&job->grid, &job->blocks, r->unit))
         return ERR_CORRUPT;
     uint64_t pixels = grid_pixels(&job->grid, r->unit.cell_begin, r->unit.cell_count);
@@ -565,6 +452,8 @@ enum err results_replay(void *ctx, struct film *film, const struct journal_resul
         return ERR_NOMEM;
     enum err e = tile_codec_decode(body, r->body_bytes, values, (size_t)pixels * planes);
     if (e == ERR_OK)
+        e = note_replayed(job, &loading->at.provenance, r, values, pixels);
+    if (e == ERR_OK)
         e = film_add(film, r->unit, values);
     if (e != ERR_OK) {
         mem_free(values);
@@ -573,5 +462,23 @@ enum err results_replay(void *ctx, struct film *film, const struct journal_resul
     add_totals(job, r);
     note_contributor(job, r->worker);
     job->rec.totals.result_bytes += r->body_bytes;
+    return ERR_OK;
+}
+
+enum err results_replay_note(void *ctx, enum store_step_kind kind, struct unit unit)
+{
+    struct job_loading *loading = ctx;
+    struct job *job = loading->job;
+    struct provenance *p = &loading->at.provenance;
+    if (!grid_has_unit(&job->grid, &job->blocks, unit))
+        return ERR_CORRUPT;
+    if (p->cell_count == 0)
+        TL_TRY(provenance_init(p, job->grid.cell_count, job->blocks.count));
+    if (kind == STORE_STEP_CHECK_OPENED)
+        return provenance_open_check(p, unit);
+    if (kind == STORE_STEP_CHECK_CLOSED)
+        provenance_close_check(p, unit);
+    else
+        provenance_reset(p, unit.cell_begin, unit.cell_count);
     return ERR_OK;
 }

@@ -18,15 +18,20 @@ enum { KEY_BYTES_MAX = 256 };
 
 /* For the log. */
 static const char *const op_names[] = {
-    "job", "result", "reset", "event", "value", "key", "checkpoint", "deletion",
+    "job",   "result",         "reset", "check", "event",      "value",
+    "blame", "forgiven blame", "past",  "key",   "checkpoint", "deletion",
 };
 
 enum op_kind {
     OP_JOB,
     OP_RESULT,
     OP_RESET,
+    OP_CHECK,
     OP_EVENT,
     OP_VALUE,
+    OP_BLAME,
+    OP_FORGET_BLAME,
+    OP_PAST,
     OP_KEY,
     OP_CHECKPOINT, /* from here on: an operation that is a batch of its own */
     OP_DELETE_JOB,
@@ -39,11 +44,14 @@ struct op {
     store_done *done; /* may be NULL */
     void *ctx;
     struct job_record job;        /* JOB; its spec_json is owned */
-    struct journal_result unit;   /* RESULT; RESET: job, sequence, unit */
+    struct journal_result unit;   /* RESULT; RESET, CHECK: job, sequence, unit */
+    bool open;                    /* CHECK */
+    struct sched_blame blame;     /* BLAME */
+    struct worker_past past;      /* PAST */
     struct segment_place place;   /* RESULT, filled in by the thread */
     struct checkpoint checkpoint; /* CHECKPOINT */
     const struct film *film;      /* CHECKPOINT, borrowed */
-    uint64_t job_id;              /* EVENT, KEY, DELETE_JOB */
+    uint64_t job_id;              /* EVENT, KEY, BLAME, FORGET_BLAME, DELETE_JOB */
     int64_t at_us;                /* EVENT, KEY */
     digest body_digest;           /* KEY */
     unsigned char *bytes;         /* RESULT body, EVENT and KEY text, VALUE: owned */
@@ -88,6 +96,7 @@ static void list_append(struct op_list *l, struct op *op)
 static void op_free(struct op *op)
 {
     mem_free(op->job.spec_json);
+    provenance_release(&op->checkpoint.provenance);
     mem_free(op->bytes);
     mem_free(op);
 }
@@ -154,6 +163,8 @@ enum err store_load(struct store *s, const struct store_visitor *v)
 {
     TL_ASSERT(!s->started);
     TL_TRY(store_db_each_job(s->db, v));
+    TL_TRY(store_db_each_blame(s->db, v));
+    TL_TRY(store_db_each_past(s->db, v));
     return store_db_each_key(s->db, v);
 }
 
@@ -175,6 +186,7 @@ struct replaying {
     uint64_t job;
     struct film *film;
     store_replay *replay;
+    store_note *note;
     void *ctx;
     uint64_t sequence;
     uint64_t segment, segment_bytes; /* the file being read, and how far the index knows it */
@@ -193,8 +205,10 @@ static enum err replay_step(void *ctx, const struct store_step *step)
 {
     struct replaying *r = ctx;
     r->sequence = step->sequence;
-    if (!step->place)
-        return film_reset(r->film, step->unit.cell_begin, step->unit.cell_count);
+    if (step->kind == STORE_STEP_RESET)
+        TL_TRY(film_reset(r->film, step->unit.cell_begin, step->unit.cell_count));
+    if (step->kind != STORE_STEP_RESULT)
+        return r->note ? r->note(r->ctx, step->kind, step->unit) : ERR_OK;
     if (r->segment != step->place->segment)
         end_segment(r);
     r->segment = step->place->segment;
@@ -236,15 +250,15 @@ static enum err forget_damaged(struct replaying *r)
 }
 
 enum err store_load_film(struct store *s, uint64_t job, const struct grid *grid,
-                         const struct job_blocks *blocks, store_replay *replay, void *ctx,
-                         struct film **film, struct checkpoint *at, uint64_t *sequence)
+                         const struct job_blocks *blocks, store_replay *replay, store_note *note,
+                         void *ctx, struct film **film, struct checkpoint *at, uint64_t *sequence)
 {
     TL_ASSERT(!s->started);
     char *path = store_film_path(s, job);
     if (!path)
         return ERR_NOMEM;
     struct checkpoint from = {0};
-    struct replaying r = {.store = s, .job = job, .replay = replay, .ctx = ctx};
+    struct replaying r = {.store = s, .job = job, .replay = replay, .note = note, .ctx = ctx};
     enum err e = checkpoint_read(path, job, grid, blocks, &from, &r.film);
     mem_free(path);
     if (e == ERR_NOMEM)
@@ -257,16 +271,17 @@ enum err store_load_film(struct store *s, uint64_t job, const struct grid *grid,
         TL_TRY(film_new(grid, blocks, &r.film));
     }
     r.sequence = from.covered_sequence;
+    *at = from;
     e = store_db_each_step(s->db, job, from.covered_sequence, replay_step, &r);
     end_segment(&r);
     if (e == ERR_OK)
         e = forget_damaged(&r);
     if (e != ERR_OK) {
+        provenance_release(&at->provenance);
         film_free(r.film);
         return e;
     }
     *film = r.film;
-    *at = from;
     *sequence = r.sequence;
     return ERR_OK;
 }
@@ -313,6 +328,14 @@ static enum err op_apply(struct store *s, struct op *op)
     case OP_RESET:
         return store_db_put_reset(s->db, op->unit.job, op->unit.sequence, op->unit.unit.cell_begin,
                                   op->unit.unit.cell_count);
+    case OP_CHECK:
+        return store_db_put_check(s->db, op->unit.job, op->unit.sequence, op->unit.unit, op->open);
+    case OP_BLAME:
+        return store_db_put_blame(s->db, op->job_id, &op->blame);
+    case OP_FORGET_BLAME:
+        return store_db_forget_blame(s->db, op->job_id);
+    case OP_PAST:
+        return store_db_put_past(s->db, &op->past);
     case OP_EVENT:
         return store_db_put_event(s->db, op->job_id, op->at_us, (const char *)op->bytes);
     case OP_VALUE:
@@ -507,6 +530,49 @@ enum err store_put_reset(struct store *s, uint64_t job, uint64_t sequence, uint3
         return ERR_NOMEM;
     op->unit = (struct journal_result){
         .job = job, .sequence = sequence, .unit = {cell_begin, cell_count, 0}};
+    submit(s, op);
+    return ERR_OK;
+}
+
+enum err store_put_check(struct store *s, uint64_t job, uint64_t sequence, struct unit unit,
+                         bool open, store_done *done, void *ctx)
+{
+    struct op *op = op_new(OP_CHECK, done, ctx);
+    if (!op)
+        return ERR_NOMEM;
+    op->unit = (struct journal_result){.job = job, .sequence = sequence, .unit = unit};
+    op->open = open;
+    submit(s, op);
+    return ERR_OK;
+}
+
+enum err store_put_blame(struct store *s, uint64_t job, const struct sched_blame *blame)
+{
+    struct op *op = op_new(OP_BLAME, NULL, NULL);
+    if (!op)
+        return ERR_NOMEM;
+    op->job_id = job;
+    op->blame = *blame;
+    submit(s, op);
+    return ERR_OK;
+}
+
+enum err store_forget_blame(struct store *s, uint64_t job)
+{
+    struct op *op = op_new(OP_FORGET_BLAME, NULL, NULL);
+    if (!op)
+        return ERR_NOMEM;
+    op->job_id = job;
+    submit(s, op);
+    return ERR_OK;
+}
+
+enum err store_put_past(struct store *s, const struct worker_past *past)
+{
+    struct op *op = op_new(OP_PAST, NULL, NULL);
+    if (!op)
+        return ERR_NOMEM;
+    op->past = *past;
     submit(s, op);
     return ERR_OK;
 }

@@ -41,14 +41,17 @@ TL_NODISCARD enum err store_load_value(struct store *s, const char *key, void *v
  * a damaged result, which is dropped (and rendered again) and logged. */
 typedef enum err store_replay(void *ctx, struct film *film, const struct journal_result *r,
                               const unsigned char *body);
+/* And for every other step, a reset after the film has forgotten; may be NULL. */
+typedef enum err store_note(void *ctx, enum store_step_kind kind, struct unit unit);
 
 /* A job's film from checkpoint and journal, with the totals up to the checkpoint in *at (all zero
  * when there is none) and the highest sequence in *sequence. A damaged checkpoint is logged and
- * counts as none. You own *film. */
+ * counts as none. *at is set before the first callback, which may add to its provenance. You own
+ * *film and the provenance. */
 TL_NODISCARD enum err store_load_film(struct store *s, uint64_t job, const struct grid *grid,
                                       const struct job_blocks *blocks, store_replay *replay,
-                                      void *ctx, struct film **film, struct checkpoint *at,
-                                      uint64_t *sequence);
+                                      store_note *note, void *ctx, struct film **film,
+                                      struct checkpoint *at, uint64_t *sequence);
 
 /* True if the job has a checkpoint; if it has results behind that. */
 TL_NODISCARD bool store_has_checkpoint(struct store *s, uint64_t job);
@@ -66,7 +69,16 @@ TL_NODISCARD enum err store_put_result(struct store *s, const struct journal_res
 TL_NODISCARD enum err store_put_reset(struct store *s, uint64_t job, uint64_t sequence,
                                       uint32_t cell_begin, uint32_t cell_count, store_done *done,
                                       void *ctx);
-/* The film must be between film_read_begin and film_read_end until `done`. */
+/* A check of a unit's bits was opened or closed (provenance.h). */
+TL_NODISCARD enum err store_put_check(struct store *s, uint64_t job, uint64_t sequence,
+                                      struct unit unit, bool open, store_done *done, void *ctx);
+/* A begun unit lost a worker; all blame of a job is forgotten. */
+TL_NODISCARD enum err store_put_blame(struct store *s, uint64_t job,
+                                      const struct sched_blame *blame);
+TL_NODISCARD enum err store_forget_blame(struct store *s, uint64_t job);
+TL_NODISCARD enum err store_put_past(struct store *s, const struct worker_past *past);
+/* The film must be between film_read_begin and film_read_end until `done`. Takes the provenance in
+ * *c on success. */
 TL_NODISCARD enum err store_put_checkpoint(struct store *s, const struct checkpoint *c,
                                            const struct film *film, store_done *done, void *ctx);
 TL_NODISCARD enum err store_delete_job(struct store *s, uint64_t job);

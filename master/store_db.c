@@ -26,7 +26,13 @@ static const char schema[] =
     " number INTEGER NOT NULL) STRICT;"
     "CREATE TABLE IF NOT EXISTS value(key TEXT PRIMARY KEY, value BLOB NOT NULL) STRICT;"
     "CREATE TABLE IF NOT EXISTS idempotency(key TEXT PRIMARY KEY, body BLOB NOT NULL,"
-    " job INTEGER NOT NULL, at_us INTEGER NOT NULL) STRICT;";
+    " job INTEGER NOT NULL, at_us INTEGER NOT NULL) STRICT;"
+    "CREATE TABLE IF NOT EXISTS blame(id INTEGER PRIMARY KEY, job INTEGER NOT NULL,"
+    " cell_begin INTEGER NOT NULL, cell_count INTEGER NOT NULL, block INTEGER NOT NULL,"
+    " worker INTEGER NOT NULL, alone INTEGER NOT NULL) STRICT;"
+    "CREATE INDEX IF NOT EXISTS blame_job ON blame(job, id);"
+    "CREATE TABLE IF NOT EXISTS past(worker INTEGER PRIMARY KEY, lied INTEGER NOT NULL,"
+    " pauses INTEGER NOT NULL, until_us INTEGER NOT NULL) STRICT;";
 
 /* X(name, text): the statements, prepared once. */
 #define STATEMENTS(X)                                                                              \
@@ -49,6 +55,14 @@ static const char schema[] =
     X(GET_VALUE, "SELECT value FROM value WHERE key=?1")                                           \
     X(PUT_KEY, "INSERT OR REPLACE INTO idempotency VALUES(?1,?2,?3,?4)")                           \
     X(DELETE_KEYS, "DELETE FROM idempotency WHERE at_us<?1")                                       \
+    X(PUT_BLAME, "INSERT INTO blame(job,cell_begin,cell_count,block,worker,alone) "                \
+                 "VALUES(?1,?2,?3,?4,?5,?6)")                                                      \
+    X(TRIM_BLAME, "DELETE FROM blame WHERE job=?1 AND id<=(SELECT id FROM blame WHERE job=?1 "     \
+                  "ORDER BY id DESC LIMIT 1 OFFSET ?2)")                                           \
+    X(FORGET_BLAME, "DELETE FROM blame WHERE job=?1")                                              \
+    X(EACH_BLAME, "SELECT job,cell_begin,cell_count,block,worker,alone FROM blame ORDER BY id")    \
+    X(PUT_PAST, "INSERT OR REPLACE INTO past VALUES(?1,?2,?3,?4)")                                 \
+    X(EACH_PAST, "SELECT worker,lied,pauses,until_us FROM past ORDER BY worker")                   \
     X(EACH_KEY, "SELECT key,body,job,at_us FROM idempotency ORDER BY at_us")                       \
     X(EACH_JOB, "SELECT id,state,priority,name,note,package,spec,created_us,started_us,"           \
                 "finished_us,image,numbers,coalesce(shot,0),coalesce(number,0) "                   \
@@ -248,6 +262,51 @@ enum err store_db_put_reset(struct store_db *db, uint64_t job, uint64_t sequence
     return step(db, STATEMENT_PUT_UNIT); /* no record: a reset */
 }
 
+/* Without a record; what kind of step it is stands in the segment's place. */
+enum err store_db_put_check(struct store_db *db, uint64_t job, uint64_t sequence, struct unit unit,
+                            bool open)
+{
+    bind_u64(db, STATEMENT_PUT_UNIT, 1, job);
+    bind_u64(db, STATEMENT_PUT_UNIT, 2, sequence);
+    bind_u64(db, STATEMENT_PUT_UNIT, 3, unit.cell_begin);
+    bind_u64(db, STATEMENT_PUT_UNIT, 4, unit.cell_count);
+    bind_u64(db, STATEMENT_PUT_UNIT, 5, unit.block);
+    bind_u64(db, STATEMENT_PUT_UNIT, 6, 0);
+    bind_u64(db, STATEMENT_PUT_UNIT, 7, open ? STORE_STEP_CHECK_OPENED : STORE_STEP_CHECK_CLOSED);
+    bind_u64(db, STATEMENT_PUT_UNIT, 8, 0);
+    bind_u64(db, STATEMENT_PUT_UNIT, 9, 0);
+    return step(db, STATEMENT_PUT_UNIT);
+}
+
+enum err store_db_put_blame(struct store_db *db, uint64_t job, const struct sched_blame *blame)
+{
+    bind_u64(db, STATEMENT_PUT_BLAME, 1, job);
+    bind_u64(db, STATEMENT_PUT_BLAME, 2, blame->unit.cell_begin);
+    bind_u64(db, STATEMENT_PUT_BLAME, 3, blame->unit.cell_count);
+    bind_u64(db, STATEMENT_PUT_BLAME, 4, blame->unit.block);
+    bind_u64(db, STATEMENT_PUT_BLAME, 5, blame->worker);
+    bind_u64(db, STATEMENT_PUT_BLAME, 6, blame->alone);
+    TL_TRY(step(db, STATEMENT_PUT_BLAME));
+    bind_u64(db, STATEMENT_TRIM_BLAME, 1, job);
+    bind_u64(db, STATEMENT_TRIM_BLAME, 2, STORE_BLAME_KEPT);
+    return step(db, STATEMENT_TRIM_BLAME);
+}
+
+enum err store_db_forget_blame(struct store_db *db, uint64_t job)
+{
+    bind_u64(db, STATEMENT_FORGET_BLAME, 1, job);
+    return step(db, STATEMENT_FORGET_BLAME);
+}
+
+enum err store_db_put_past(struct store_db *db, const struct worker_past *past)
+{
+    bind_u64(db, STATEMENT_PUT_PAST, 1, past->id);
+    bind_u64(db, STATEMENT_PUT_PAST, 2, past->lied);
+    bind_u64(db, STATEMENT_PUT_PAST, 3, past->pauses);
+    (void)sqlite3_bind_int64(db->statement[STATEMENT_PUT_PAST], 4, past->until_us);
+    return step(db, STATEMENT_PUT_PAST);
+}
+
 enum err store_db_cover(struct store_db *db, uint64_t job, uint64_t sequence,
                         uint64_t *segment_lowest)
 {
@@ -280,6 +339,7 @@ enum err store_db_delete_job(struct store_db *db, uint64_t job)
     TL_TRY(step(db, STATEMENT_DELETE_EVENTS));
     bind_u64(db, STATEMENT_DELETE_FRAME, 1, job);
     TL_TRY(step(db, STATEMENT_DELETE_FRAME));
+    TL_TRY(store_db_forget_blame(db, job));
     bind_u64(db, STATEMENT_DELETE_JOB, 1, job);
     return step(db, STATEMENT_DELETE_JOB);
 }
@@ -403,6 +463,39 @@ enum err store_db_each_key(struct store_db *db, const struct store_visitor *v)
     return e != ERR_OK ? e : err_of(db, code);
 }
 
+enum err store_db_each_blame(struct store_db *db, const struct store_visitor *v)
+{
+    sqlite3_stmt *s = db->statement[STATEMENT_EACH_BLAME];
+    enum err e = ERR_OK;
+    int code = SQLITE_DONE;
+    while (v->blame && e == ERR_OK && (code = sqlite3_step(s)) == SQLITE_ROW) {
+        struct sched_blame blame = {.unit = {(uint32_t)sqlite3_column_int64(s, 1),
+                                             (uint32_t)sqlite3_column_int64(s, 2),
+                                             (uint32_t)sqlite3_column_int64(s, 3)},
+                                    .worker = (uint64_t)sqlite3_column_int64(s, 4),
+                                    .alone = sqlite3_column_int(s, 5) != 0};
+        e = v->blame(v->ctx, (uint64_t)sqlite3_column_int64(s, 0), &blame);
+    }
+    (void)sqlite3_reset(s);
+    return e != ERR_OK ? e : err_of(db, code);
+}
+
+enum err store_db_each_past(struct store_db *db, const struct store_visitor *v)
+{
+    sqlite3_stmt *s = db->statement[STATEMENT_EACH_PAST];
+    enum err e = ERR_OK;
+    int code = SQLITE_DONE;
+    while (v->past && e == ERR_OK && (code = sqlite3_step(s)) == SQLITE_ROW) {
+        struct worker_past past = {.id = (uint64_t)sqlite3_column_int64(s, 0),
+                                   .lied = sqlite3_column_int(s, 1) != 0,
+                                   .pauses = (uint32_t)sqlite3_column_int64(s, 2),
+                                   .until_us = sqlite3_column_int64(s, 3)};
+        e = v->past(v->ctx, &past);
+    }
+    (void)sqlite3_reset(s);
+    return e != ERR_OK ? e : err_of(db, code);
+}
+
 enum err store_db_each_step(struct store_db *db, uint64_t job, uint64_t after,
                             enum err (*visit)(void *ctx, const struct store_step *), void *ctx)
 {
@@ -419,6 +512,11 @@ enum err store_db_each_step(struct store_db *db, uint64_t job, uint64_t after,
                                             (uint32_t)sqlite3_column_int64(s, 2),
                                             (uint32_t)sqlite3_column_int64(s, 3)},
                                    .place = column_digest(s, 7, &place.record) ? &place : NULL};
+        found.kind = found.place ? STORE_STEP_RESULT : (enum store_step_kind)place.segment;
+        if (!found.place && place.segment >= STORE_STEP_RESULT) {
+            e = ERR_CORRUPT;
+            break;
+        }
         e = visit(ctx, &found);
     }
     (void)sqlite3_reset(s);

@@ -8,9 +8,18 @@
 #define MASTER_STORE_DB_H
 
 #include "master/job_record.h"
+#include "master/sched/sched.h"
 #include "master/store_files.h"
 
 struct store_db; /* opaque */
+
+/* What is kept of a worker after it lied or was set aside. */
+struct worker_past {
+    uint64_t id;
+    bool lied;
+    uint32_t pauses;
+    int64_t until_us; /* end of the last pause, since 1970 */
+};
 
 TL_NODISCARD enum err store_db_open(const char *path, struct store_db **out);
 void store_db_close(struct store_db *db);
@@ -42,6 +51,16 @@ TL_NODISCARD enum err store_db_put_key(struct store_db *db, const char *key, con
 /* Forgets idempotency keys older than `before_us`. */
 TL_NODISCARD enum err store_db_delete_keys(struct store_db *db, int64_t before_us);
 
+/* Checks: a step of the journal like a reset. */
+TL_NODISCARD enum err store_db_put_check(struct store_db *db, uint64_t job, uint64_t sequence,
+                                         struct unit unit, bool open);
+/* Blame of units, the last STORE_BLAME_KEPT of a job. */
+enum { STORE_BLAME_KEPT = 4096 };
+TL_NODISCARD enum err store_db_put_blame(struct store_db *db, uint64_t job,
+                                         const struct sched_blame *blame);
+TL_NODISCARD enum err store_db_forget_blame(struct store_db *db, uint64_t job);
+TL_NODISCARD enum err store_db_put_past(struct store_db *db, const struct worker_past *past);
+
 /* Reading; each stops at the first error of its callback. */
 struct store_visitor {
     void *ctx;
@@ -49,15 +68,27 @@ struct store_visitor {
     enum err (*job)(void *ctx, struct job_record *record);
     enum err (*event)(void *ctx, uint64_t job, int64_t at_us, const char *text);
     enum err (*key)(void *ctx, const char *key, const digest *body, uint64_t job, int64_t at_us);
+    enum err (*blame)(void *ctx, uint64_t job, const struct sched_blame *blame);
+    enum err (*past)(void *ctx, const struct worker_past *past);
 };
 TL_NODISCARD enum err store_db_each_job(struct store_db *db, const struct store_visitor *v);
 /* The last `count` events of a job, oldest first. */
 TL_NODISCARD enum err store_db_each_event(struct store_db *db, uint64_t job, uint32_t count,
                                           const struct store_visitor *v);
 TL_NODISCARD enum err store_db_each_key(struct store_db *db, const struct store_visitor *v);
+/* Nothing when their callback is NULL. */
+TL_NODISCARD enum err store_db_each_blame(struct store_db *db, const struct store_visitor *v);
+TL_NODISCARD enum err store_db_each_past(struct store_db *db, const struct store_visitor *v);
 
-/* One step of a job's journal: a result at `place`, or a reset when place is NULL. */
+/* One step of a job's journal; a result is at `place`. Stored by number: append only. */
+enum store_step_kind {
+    STORE_STEP_RESET,
+    STORE_STEP_CHECK_OPENED,
+    STORE_STEP_CHECK_CLOSED,
+    STORE_STEP_RESULT,
+};
 struct store_step {
+    enum store_step_kind kind;
     uint64_t sequence;
     struct unit unit;
     const struct segment_place *place;

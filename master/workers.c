@@ -101,6 +101,17 @@ static void tell_jobs(struct farm *f, const char *text)
             jobs_log(f, f->jobs[i], "%s", text);
 }
 
+/* The next pause is longer, also after a restart of the master. */
+static void keep_pause(struct farm *f, const struct worker *w, uint64_t seconds)
+{
+    struct sched_worker_info info;
+    if (sched_worker_info(f->sched, w->id, &info))
+        verify_keep_past(
+            f, &(struct worker_past){.id = w->id,
+                                     .pauses = info.pauses,
+                                     .until_us = farm_wall_us() + (int64_t)seconds * 1000000});
+}
+
 void workers_news(struct farm *f, const struct sched_action *a)
 {
     struct worker *w = farm_worker(f, a->worker);
@@ -114,6 +125,7 @@ void workers_news(struct farm *f, const struct sched_action *a)
         uint64_t left = a->until_ms > now ? (a->until_ms - now + 999) / 1000 : 0;
         (void)snprintf(w->note, sizeof w->note, "failed often; set aside for %" PRIu64 " s", left);
         log_warn("workers", "set aside id=w%" PRIu64 " seconds=%" PRIu64, w->id, left);
+        keep_pause(f, w, left);
         if (w->conn) /* else it is being lost, which comes next */
             tell(f, w, "set-aside", a->losses);
     } else if (a->state == SCHED_WORKER_GONE) {
@@ -419,6 +431,7 @@ static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
     send_to(w, &m, NULL);
     log_info("workers", "joined id=w%" PRIu64 " name=%s host=%s threads=%" PRIu32 " peer=%s", w->id,
              w->name, w->host, w->threads, conn_peer(c));
+    verify_tell_past(f, w->id);
     struct sched_event event = {.type = SCHED_WORKER_JOIN, .worker = w->id, .threads = w->threads};
     farm_feed(f, &event);
     char line[160];

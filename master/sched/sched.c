@@ -129,6 +129,7 @@ bool sched_feed(struct sched *s, uint64_t now_ms, const struct sched_event *e)
     case SCHED_JOB_REMOVE:
     case SCHED_CELLS_RESET:
         return jobs_feed(s, e);
+    case SCHED_WORKER_PAST:
     case SCHED_WORKER_JOIN:
     case SCHED_WORKER_LOST:
     case SCHED_WORKER_DRAIN:

@@ -44,7 +44,9 @@
  *      done, no check is open and no liar's cells wait to be reset.
  *  11. Progress never goes back.
  *
- * What is not kept over a restart of the master: blame, pauses, and checks that were open.
+ * Over a restart of the master the caller keeps what matters: done spots, blame (SCHED_UNIT_LOST),
+ * open checks (SCHED_CHECK_OPENED, _CLOSED) and who lied or was set aside; see sched_job_add and
+ * SCHED_WORKER_PAST. Speeds and costs are measured again.
  *
  * Method: guided self-scheduling bounds the unit size (Polychronopoulos and Kuck 1987); late copies
  * of the slowest leases follow MapReduce and LATE (Zaharia et al., OSDI 2008).
@@ -120,6 +122,7 @@ enum sched_event_type {
      * was accepted could not be stored. Results accepted for them are forgotten. */
     SCHED_CELLS_RESET,
 
+    SCHED_WORKER_PAST,  /* .past: what is known of an unknown worker; before its JOIN */
     SCHED_WORKER_JOIN,  /* .threads; also a return */
     SCHED_WORKER_LOST,  /* connection gone or silent: its leases go to others */
     SCHED_WORKER_DRAIN, /* takes no more work */
@@ -143,6 +146,20 @@ struct sched_done {
     uint32_t block_begin, block_end;
 };
 
+/* A begun unit lost a worker: as SCHED_UNIT_LOST said. */
+struct sched_blame {
+    struct unit unit;
+    uint64_t worker;
+    bool alone;
+};
+
+/* A check that SCHED_CHECK_OPENED told of and no SCHED_CHECK_CLOSED or reset since. */
+struct sched_open_check {
+    struct unit unit;
+    uint64_t worker; /* who gave the accepted bits */
+    uint64_t digest; /* of them: as in sched_result */
+};
+
 struct sched_job_add {
     uint32_t cell_count, block_count;
     double cell_cost;        /* pixels x samples of an average spot, > 0 */
@@ -155,6 +172,18 @@ struct sched_job_add {
      * beyond its cell's window cannot be held and is rendered again). Lent for the call. */
     const struct sched_done *done;
     size_t done_count;
+    /* From an earlier life, in the order of the news; what does not fit `done` any more is
+     * ignored. Lent for the call. */
+    const struct sched_blame *blame;
+    size_t blame_count;
+    const struct sched_open_check *checks;
+    size_t check_count;
+};
+
+struct sched_past {
+    bool lied;         /* quarantined */
+    uint32_t pauses;   /* how often it was set aside: the next pause is so much longer */
+    uint64_t until_ms; /* end of a pause that still goes on; 0: none */
 };
 
 struct sched_result {
@@ -182,6 +211,7 @@ struct sched_event {
         struct unit unit;
         struct sched_result result;
         struct sched_mismatch mismatch;
+        struct sched_past past;
         uint32_t threads; /* 1.. */
         uint64_t rtt_us;
         uint64_t epoch;
@@ -217,6 +247,10 @@ enum sched_action_type {
     SCHED_WORKER_NEWS, /* .state changed to SET_ASIDE (until .until_ms), IDLE (back), LOST */
     SCHED_UNIT_LOST,   /* a begun unit lost .worker: .losses so far, .alone */
     SCHED_DRAINED,     /* a draining worker holds nothing any more */
+    /* .unit is to be rendered by another worker and compared; told before it is accepted, or when
+     * a result differs. CLOSED: two agree. A reset of its cells ends a check in silence. */
+    SCHED_CHECK_OPENED,
+    SCHED_CHECK_CLOSED,
     /* .worker (0: unknown) gave bits that two others contradict, seen in .unit of .job. It is
      * quarantined. Caller: feed SCHED_CELLS_RESET (block 0) for every run of cells of every
      * unfinished job to which it gave an accepted result, .unit included if .accepted. */
@@ -326,6 +360,7 @@ struct sched_worker_info {
     uint64_t timeouts;
     uint64_t differed; /* checks that it lost */
     uint64_t until_ms; /* SET_ASIDE: end of the pause */
+    uint32_t pauses;   /* that count for the length of the next */
     double speed;      /* pixel-samples per second and thread, of its latest job; 0: unknown */
 };
 

@@ -7,6 +7,7 @@
  * sched_leases.c     life of a lease: begun, ended, blamed
  * sched_assign.c     who gets what next
  * sched_results.c    results and checks
+ * sched_restore.c    what an earlier life of the master knew
  * sched_report.c     what people see
  * sched_check.c      the invariants
  *
@@ -36,6 +37,8 @@ enum {
     UNFIT_POINTS_LOST = 1,   /* a worker is lost while it gets ready */
     UNFIT_POINTS_FAIL = 6,   /* without anyone ready in between: the job fails */
     SUSPECT_LOSERS = 4,
+    SUSPECT_REPEATS = 3,        /* losses of the same worker that count as one of another */
+    PAUSES_MAX = 16,            /* doublings of a pause that are counted */
     SUSPECT_PATIENCE_MS = 5000, /* before a worker gets a unit again with which it was lost */
     TICK_MS = 100,              /* while workers are idle and leases are out */
 };
@@ -144,6 +147,7 @@ struct suspect {
     uint32_t job;
     struct unit unit;
     uint32_t losses, losses_alone;
+    uint32_t repeats;                /* losses of a worker that it had lost before */
     uint64_t losers[SUSPECT_LOSERS]; /* handles of the workers that were lost, a ring */
     uint64_t lost_ms;                /* when the last one was */
     uint32_t lease;                  /* SLOT_NONE: pending */
@@ -177,6 +181,7 @@ struct scan {
     struct sched_result result;
     uint32_t at; /* cells answered */
     uint32_t accepted;
+    bool checked;       /* its check was announced; it is opened with the last answer */
     double cell_s;      /* thread-seconds of one cell */
     enum sched_why why; /* with job SLOT_NONE */
     bool vote;
@@ -248,6 +253,8 @@ bool jobs_close_next(struct sched *s, struct sched_action *out);
 
 /* --- sched_workers.c --- */
 bool workers_feed(struct sched *s, const struct sched_event *e);
+/* A slot for a new worker: a free one, or that of the worker gone for longest; SLOT_NONE. */
+uint32_t worker_add(struct sched *s, uint64_t handle);
 bool worker_usable(const struct worker *w);
 uint32_t worker_allowance(const struct sched *s, const struct worker *w);
 /* Puts the worker into the list where it belongs, at its end. */
@@ -285,6 +292,8 @@ void lease_begin(struct sched *s, uint32_t lease);
 void lease_timer_fired(struct sched *s, uint32_t lease);
 void lease_spot_lost(struct sched *s, uint32_t owner);
 void suspect_free(struct sched *s, uint32_t suspect);
+/* Where a pending suspect stands. */
+struct chain *suspect_chain(struct job *j, const struct suspect *p);
 /* The spots of a pending suspect wait again, one by one; its losses are forgotten. */
 void suspect_dissolve(struct sched *s, uint32_t suspect);
 void job_leases_revoke(struct sched *s, uint32_t job);
@@ -305,7 +314,27 @@ bool scan_next(struct sched *s, struct sched_action *out);
 bool mismatch_feed(struct sched *s, const struct sched_event *e);
 void check_free(struct sched *s, uint32_t check);
 bool check_voted(const struct check *c, uint64_t worker);
+/* A pending check whose first vote is the accepted version; SLOT_NONE when the table is full. */
+uint32_t check_new(struct sched *s, uint32_t job, struct unit unit, struct vote accepted);
 void job_checks_drop(struct sched *s, uint32_t job, uint32_t cell_begin, uint32_t cell_count);
+
+/* --- sched_restore.c --- */
+void job_blame_restore(struct sched *s, uint32_t job, const struct sched_blame *blame,
+                       size_t count);
+void job_checks_restore(struct sched *s, uint32_t job, const struct sched_open_check *checks,
+                        size_t count);
+bool worker_past(struct sched *s, uint64_t handle, const struct sched_past *past);
+
+static inline bool unit_equal(struct unit a, struct unit b)
+{
+    return a.cell_begin == b.cell_begin && a.cell_count == b.cell_count && a.block == b.block;
+}
+
+static inline bool unit_within(const struct job *j, struct unit u)
+{
+    return u.cell_count > 0 && u.cell_begin < j->cell_count &&
+           u.cell_count <= j->cell_count - u.cell_begin && u.block < j->block_count;
+}
 
 static inline uint32_t job_slot(const struct sched *s, const struct job *j)
 {

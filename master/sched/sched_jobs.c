@@ -61,6 +61,8 @@ static bool job_add(struct sched *s, uint64_t id, const struct sched_job_add *a)
     job_cells_restore(s, j, a->done, a->done_count);
     job_progress_update(j);
     rank_add(s, job);
+    job_checks_restore(s, job, a->checks, a->check_count);
+    job_blame_restore(s, job, a->blame, a->blame_count);
     job_settle(s, job);
     return true;
 }

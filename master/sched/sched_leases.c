@@ -110,7 +110,7 @@ static uint32_t spots_hand_over(struct sched *s, uint32_t from, const struct lea
     return count;
 }
 
-static struct chain *suspect_chain(struct job *j, const struct suspect *p)
+struct chain *suspect_chain(struct job *j, const struct suspect *p)
 {
     return p->losses >= SCHED_LOSSES_COMPANY ? &j->suspects_alone : &j->suspects;
 }
@@ -162,7 +162,8 @@ static bool others_usable(const struct sched *s, const struct worker *w)
 }
 
 /* Counts a loss against the unit of `owner`; true: it is one too many for the job. That one worker
- * fails it again and again tells nothing of the unit, while there are others. */
+ * fails it again and again tells little of the unit, while there are others; but those may be
+ * hung, so it is not forgotten. */
 static bool suspect_blame(struct sched *s, uint32_t owner, const struct lease *lost)
 {
     uint32_t slot = suspect_of(s, owner);
@@ -172,7 +173,7 @@ static bool suspect_blame(struct sched *s, uint32_t owner, const struct lease *l
     const struct worker *w = &s->workers[lost->worker];
     p->lost_ms = s->now_ms;
     for (int i = 0; i < SUSPECT_LOSERS; i++) {
-        if (p->losers[i] == w->handle && others_usable(s, w))
+        if (p->losers[i] == w->handle && others_usable(s, w) && ++p->repeats % SUSPECT_REPEATS != 0)
             return false;
     }
     p->losers[p->losses++ % SUSPECT_LOSERS] = w->handle;

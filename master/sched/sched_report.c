@@ -153,6 +153,7 @@ bool sched_worker_info(const struct sched *s, uint64_t worker, struct sched_work
         .timeouts = w->timeouts,
         .differed = w->differed,
         .until_ms = w->set_aside ? w->until_ms : 0,
+        .pauses = w->pauses,
         .speed = w->speed_shown,
     };
     return true;

@@ -47,8 +47,7 @@ void job_checks_drop(struct sched *s, uint32_t job, uint32_t cell_begin, uint32_
     }
 }
 
-/* A pending check whose first vote is the accepted version; SLOT_NONE when the table is full. */
-static uint32_t check_new(struct sched *s, uint32_t job, struct unit unit, struct vote accepted)
+uint32_t check_new(struct sched *s, uint32_t job, struct unit unit, struct vote accepted)
 {
     uint32_t slot = s->check_pool.free.head;
     if (slot == SLOT_NONE)
@@ -76,6 +75,12 @@ static void liar_found(struct sched *s, const struct check *c, uint32_t vote)
         worker_quarantine(s, worker);
 }
 
+static void check_news(struct sched *s, enum sched_action_type type, const struct job *j,
+                       struct unit unit)
+{
+    sched_news_push(s, &(struct sched_action){.type = type, .job = j->id, .unit = unit});
+}
+
 /* Two equal votes decide; whoever voted otherwise lied. Without agreement the check asks another
  * worker, up to SCHED_VOTES_MAX. */
 static void check_count_votes(struct sched *s, uint32_t check)
@@ -95,6 +100,8 @@ static void check_count_votes(struct sched *s, uint32_t check)
                 if (c.votes[v].digest != c.votes[a].digest)
                     liar_found(s, &c, v);
             }
+            /* After the liar: who keeps both must not know of neither. */
+            check_news(s, SCHED_CHECK_CLOSED, j, c.unit);
             job_settle(s, c.job);
             return;
         }
@@ -134,12 +141,6 @@ static uint32_t check_of_unit(const struct sched *s, const struct job *j, struct
     return SLOT_NONE;
 }
 
-static bool unit_within(const struct job *j, struct unit u)
-{
-    return u.cell_count > 0 && u.cell_begin < j->cell_count &&
-           u.cell_count <= j->cell_count - u.cell_begin && u.block < j->block_count;
-}
-
 bool mismatch_feed(struct sched *s, const struct sched_event *e)
 {
     const struct sched_mismatch *m = &e->mismatch;
@@ -159,16 +160,12 @@ bool mismatch_feed(struct sched *s, const struct sched_event *e)
     }
     if (check == SLOT_NONE)
         return false;
+    check_news(s, SCHED_CHECK_OPENED, j, m->unit);
     check_vote(s, check, (struct vote){.worker = e->worker, .digest = m->digest});
     return true;
 }
 
 /* --- Results ---------------------------------------------------------------- */
-
-static bool unit_equal(struct unit a, struct unit b)
-{
-    return a.cell_begin == b.cell_begin && a.cell_count == b.cell_count && a.block == b.block;
-}
 
 static void learn_speed(struct sched *s, uint32_t worker, uint64_t job,
                         const struct sched_result *r)
@@ -272,8 +269,7 @@ static void scan_finish(struct sched *s)
     j->samples_s += 1e-6 * (double)(scan->result.render_us > 0 ? scan->result.render_us : 1);
     eta_spread_add(&j->spread, scan->cell_s);
     job_progress_update(j);
-    if (scan->accepted == scan->result.unit.cell_count && scan->worker != 0 &&
-        verify_chosen(s, scan->result.epoch, j->verify_share))
+    if (scan->checked && scan->accepted == scan->result.unit.cell_count)
         (void)check_new(s, scan->job, scan->result.unit,
                         (struct vote){.worker = scan->worker, .digest = scan->result.digest});
     job_settle(s, scan->job);
@@ -289,6 +285,31 @@ static bool scan_whole(struct sched *s, struct sched_action *out)
     return true;
 }
 
+static bool spot_is_open(const struct job *j, uint32_t cell, uint32_t block)
+{
+    enum spot_state state = job_spot_state(j, cell, block);
+    return state == SPOT_WAITING || state == SPOT_LEASED;
+}
+
+/* Before the first answer: is this result, if all of it is new, to be verified? Said before it is
+ * accepted, so that whoever keeps both never has the result without its check. */
+static bool scan_announce(struct sched *s, struct sched_action *out)
+{
+    struct scan *scan = &s->scan;
+    const struct job *j = &s->jobs[scan->job];
+    const struct unit unit = scan->result.unit;
+    if (scan->at > 0 || scan->checked || scan->worker == 0 ||
+        !verify_chosen(s, scan->result.epoch, j->verify_share))
+        return false;
+    for (uint32_t i = 0; i < unit.cell_count; i++)
+        if (!spot_is_open(j, unit.cell_begin + i, unit.block))
+            return false;
+    scan->checked = true;
+    *out = (struct sched_action){
+        .type = SCHED_CHECK_OPENED, .worker = scan->worker, .job = j->id, .unit = unit};
+    return true;
+}
+
 /* The next run of cells of one kind. */
 bool scan_next(struct sched *s, struct sched_action *out)
 {
@@ -300,6 +321,8 @@ bool scan_next(struct sched *s, struct sched_action *out)
         .worker = scan->worker, .job = scan->job_id, .epoch = scan->result.epoch};
     if (scan->job == SLOT_NONE || scan->vote)
         return scan_whole(s, out);
+    if (scan_announce(s, out))
+        return true;
 
     struct job *j = &s->jobs[scan->job];
     uint32_t begin = unit.cell_begin + scan->at;

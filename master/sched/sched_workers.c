@@ -3,7 +3,6 @@
 
 enum {
     GOOD_RESULTS_FORGIVE = 64, /* so many good results shorten the next pause by half */
-    PAUSES_MAX = 16,
     SPARE_MAX = 32, /* leases beyond its threads; a worker refuses more than threads + 66 */
 };
 
@@ -339,8 +338,7 @@ static void worker_gone(struct sched *s, uint32_t worker, bool lost)
                                               .losses = held});
 }
 
-/* A slot for a new worker: a free one, or that of the worker gone for longest. */
-static uint32_t worker_add(struct sched *s, uint64_t handle)
+uint32_t worker_add(struct sched *s, uint64_t handle)
 {
     uint32_t worker = slotmap_add(&s->worker_map, handle);
     if (worker == SLOT_NONE) {
@@ -432,6 +430,8 @@ static bool worker_unit_failed(struct sched *s, uint32_t worker, uint64_t epoch)
 
 bool workers_feed(struct sched *s, const struct sched_event *e)
 {
+    if (e->type == SCHED_WORKER_PAST)
+        return worker_past(s, e->worker, &e->past);
     if (e->type == SCHED_WORKER_JOIN)
         return worker_join(s, e->worker, e->threads);
     uint32_t worker = slotmap_find(&s->worker_map, e->worker);

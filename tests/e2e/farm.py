@@ -143,8 +143,8 @@ class Farm:
             self.master.kill()
         self.workers, self.master = [], None
 
-    def start_master(self):
-        """Starts the master; again on the ports it had."""
+    def start_master(self, env=None, wait=True):
+        """Starts the master; again on the ports it had. `env`: more of the environment."""
         arguments = ["tilery-master", "--listen", self.listen, "--http", self.http,
                      "--data", self.data, *self.master_arguments]
         if self.token:
@@ -152,24 +152,26 @@ class Farm:
             path.write_text(self.token + "\n")
             path.chmod(0o600)
             arguments += ["--token-file", path]
-        self.master = Daemon("master", arguments, self.folder / "master.log", clean_env())
-        said = self.master.line()
-        self.listen, self.http = said["listen"], said["http"]
+        self.master = Daemon("master", arguments, self.folder / "master.log",
+                             clean_env(**(env or {})))
+        if wait:
+            said = self.master.line()
+            self.listen, self.http = said["listen"], said["http"]
         return self.master
 
     def kill_master(self):
         self.master.kill()
 
-    def worker(self, threads=1, name=None, wait=True, arguments=(), master=None):
+    def worker(self, threads=1, name=None, wait=True, arguments=(), master=None, env=None):
         """Starts a worker; waits until it is registered unless told otherwise. `master`: the
-        address where it finds one, in place of the farm's."""
+        address where it finds one, in place of the farm's. `env`: more of the environment."""
         self.count += 1
         name = name or f"worker{self.count}"
-        env = clean_env(**({"TILERY_TOKEN": self.token} if self.token else {}))
+        more = {"TILERY_TOKEN": self.token} if self.token else {}
         worker = Daemon(name, ["tilery-worker", "--master", master or self.listen, "--threads",
                                threads,
                                "--name", name, *arguments],
-                        self.folder / f"{name}.log", env)
+                        self.folder / f"{name}.log", clean_env(**more, **(env or {})))
         self.workers.append(worker)
         if wait:
             worker.id = worker.line()["worker"]

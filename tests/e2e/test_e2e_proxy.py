@@ -2,7 +2,7 @@
 import pytest
 
 import proxy as faulty
-from farm import SEED_SCENE, Farm, tilery
+from farm import SEED_SCENE, Farm, tilery, wait_until
 from test_master_wire import tile_encode
 
 WORK = ("--size", "96x96", "--spp", 32, "--tile", 8)
@@ -54,6 +54,34 @@ def test_liar_is_found_by_verify(tmp_path, golden):
         assert any(f"{liar.id} lied" in event["text"] for event in report["events"]), report
         assert rows[liar.id]["state"] in ("set-aside", "lost")
         assert report["image_sha256"] == golden
+
+
+def test_lies_outlive_no_restart(tmp_path, golden):
+    """The master is killed again and again while a liar's results wait for their checks: whose bits
+    they are, what is to be checked and who was caught are all kept."""
+    with Farm(tmp_path) as farm:
+        # Keeps its address, for the proxy.
+        with faulty.Proxy(farm.listen, faulty.lie(tile_encode, share=0.5), seed=3) as proxy:
+            liar = farm.worker(name="liar", master=proxy.address)
+            job = farm.submit(SEED_SCENE, *WORK, "--verify", "100%")
+            # Alone it can only lie; every check waits for another worker.
+            farm.wait_progress(job, 0.5)
+            for _ in range(2):
+                farm.kill_master()
+                farm.start_master()
+            assert proxy.injected > 0, "the liar told no lie: no test"
+            for _ in range(2):
+                farm.worker()
+            report = farm.wait_job(job, timeout=120)
+            assert report["image_sha256"] == golden
+            assert any(f"{liar.id} lied" in event["text"] for event in report["events"]), report
+            farm.kill_master()
+            farm.start_master()
+
+            def back():
+                rows = farm.request("GET", "/api/v1/workers")[1]["items"]
+                return [row["state"] for row in rows if row["id"] == liar.id]
+            assert wait_until(back, "the liar to come back") == ["set-aside"]
 
 
 @pytest.mark.parametrize("share", ["0", "0.2", "100%"])

@@ -133,19 +133,15 @@ static void config_faults(struct sim *r, struct sim_config *c)
     c->hang_share = sim_chance(r, 0.3) ? 0.02 : 0.0;
     c->fail_share = sim_chance(r, 0.3) ? 0.03 : 0.0;
     if (sim_chance(r, 0.3) && c->workers >= 4) {
-        /* Checks are not kept over a restart of the master, so liars need one that lives. */
         c->liars = 1 + (uint32_t)sim_below(r, c->workers / 4);
         c->verify = 1.0;
-        c->master_crashes = false;
     } else if (sim_chance(r, 0.2) && c->workers >= 3) {
         c->verify = 0.1 + 0.9 * uniform(r);
     }
     if (sim_chance(r, 0.2) && c->workers >= c->liars + 4)
         c->zombies = 1;
-    if (sim_chance(r, 0.08) && c->liars == 0) {
+    if (sim_chance(r, 0.08) && c->liars == 0)
         c->poison_cell = (int32_t)sim_below(r, c->cells[0]);
-        c->master_crashes = false; /* blame is not kept either */
-    }
 }
 
 struct sim_config sim_config_of(uint64_t seed)
@@ -187,8 +183,9 @@ static void fault_on_job(struct sim *sim)
     if (e.type == SCHED_JOB_PRIORITY)
         e.priority = (int32_t)sim_below(sim, 3) - 1;
     if (e.type == SCHED_JOB_RETRY)
-        sim->failed_told &= ~(UINT32_C(1) << (e.job - 1));
-    master_feed(sim, &e);
+        master_retry(sim, e.job);
+    else
+        master_feed(sim, &e);
 }
 
 static void fault(struct sim *sim)
@@ -244,7 +241,7 @@ static void operate(struct sim *sim)
     for (uint32_t i = 0; i < sim->c.jobs && sim->m.alive; i++) {
         master_feed(sim, &(struct sched_event){.type = SCHED_JOB_RESUME, .job = i + 1});
         if (!job_ended(sim, i))
-            master_feed(sim, &(struct sched_event){.type = SCHED_JOB_RETRY, .job = i + 1});
+            master_retry(sim, i + 1);
     }
     sim_push(sim, sim->now_us + 5000000, (struct sim_event){.type = EV_OPERATOR});
 }

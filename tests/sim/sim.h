@@ -163,6 +163,10 @@ struct sim_job {
     uint32_t *worker; /* handle that gave it */
     void *memory;     /* lent to the scheduler */
     uint64_t accepted, durable;
+    struct unit *checks; /* open ones */
+    size_t check_count, check_capacity;
+    struct sched_blame *blame;
+    size_t blame_count, blame_capacity;
     bool done;    /* told by the scheduler, in this life */
     double shown; /* progress, in this life */
 };
@@ -172,7 +176,18 @@ struct sim_pending {
     size_t end;                  /* offset on disk behind it */
     uint64_t handle, job, epoch; /* handle 0: a reset */
     struct unit unit;
+    int note;   /* enum sim_note, with epoch 0 */
     bool stale; /* its cells were reset since */
+};
+
+/* Records of the simulated journal that are no result, in its field `samples`. */
+enum sim_note {
+    NOTE_RESET,
+    NOTE_CHECK_OPENED,
+    NOTE_CHECK_CLOSED,
+    NOTE_BLAME, /* of worker, `rays`: alone */
+    NOTE_FORGIVEN,
+    NOTE_LIAR, /* worker */
 };
 
 struct sim_disk {
@@ -209,9 +224,12 @@ struct sim {
     size_t conn_count, conn_capacity;
     struct sim_worker *workers;
     uint64_t handle_next;
-    uint32_t *handle_conn; /* master's side: conn of a handle */
+    uint32_t *handle_conn;   /* master's side: conn of a handle */
+    uint32_t *handle_worker; /* whose it is, over all lives of the master */
     size_t handle_capacity;
     struct sim_job jobs[SIM_JOBS_MAX];
+    uint32_t *liars; /* handles of those that were found */
+    size_t liar_count, liar_capacity;
     struct sim_disk disk;
     struct sim_master m;
     uint64_t epoch_highest;
@@ -271,6 +289,7 @@ void master_message(struct sim *sim, uint32_t conn, const struct message *m,
                     const unsigned char *body, size_t body_bytes);
 void master_conn_lost(struct sim *sim, uint32_t conn);
 void master_feed(struct sim *sim, const struct sched_event *e);
+void master_retry(struct sim *sim, uint64_t job);
 void master_free(struct sim *sim);
 
 /* --- sim_book.c: the disk, and what must hold ------------------------------------------------ */
@@ -279,6 +298,10 @@ void book_free(struct sim *sim);
 void book_lease(struct sim *sim, const struct sched_action *a);
 void book_accept(struct sim *sim, const struct sched_action *a);
 void book_reset(struct sim *sim, uint32_t job, uint32_t cell_begin, uint32_t cell_count);
+/* Writes what is no result down, and takes it into the book. */
+void book_note(struct sim *sim, const struct sched_action *a, enum sim_note note);
+bool book_lied(const struct sim *sim, uint64_t handle);
+bool book_touched(const struct sim_job *j, uint32_t cell, uint64_t handle);
 void book_committed(struct sim *sim, size_t end);
 void book_crash(struct sim *sim);   /* tears what is not durable */
 void book_recover(struct sim *sim); /* reads the disk again */

@@ -34,11 +34,14 @@ void book_free(struct sim *sim)
 {
     buf_release(&sim->disk.bytes);
     mem_free(sim->disk.pending);
+    mem_free(sim->liars);
     for (uint32_t i = 0; i < sim->c.jobs; i++) {
         mem_free(sim->jobs[i].flags);
         mem_free(sim->jobs[i].hash);
         mem_free(sim->jobs[i].worker);
         mem_free(sim->jobs[i].memory);
+        mem_free(sim->jobs[i].checks);
+        mem_free(sim->jobs[i].blame);
     }
 }
 
@@ -119,8 +122,12 @@ static void append(struct sim *sim, const struct journal_result *r, const void *
     buf_put(&d->bytes, body, r->body_bytes);
     TL_ASSERT(buf_status(&d->bytes) == ERR_OK);
     d->pending = sim_grow(d->pending, d->pending_count, &d->pending_capacity, sizeof *d->pending);
-    d->pending[d->pending_count++] = (struct sim_pending){
-        .end = d->bytes.bytes, .handle = handle, .job = r->job, .epoch = r->epoch, .unit = r->unit};
+    d->pending[d->pending_count++] = (struct sim_pending){.end = d->bytes.bytes,
+                                                          .handle = handle,
+                                                          .job = r->job,
+                                                          .epoch = r->epoch,
+                                                          .unit = r->unit,
+                                                          .note = (int)r->samples};
 }
 
 /* A part of a result becomes new pixels: it must not be there yet. The record holds the run alone,
@@ -162,15 +169,94 @@ static void clear_cells(struct sim_job *j, uint32_t cell_begin, uint32_t cell_co
     }
 }
 
+static bool overlaps(struct unit u, uint32_t cell_begin, uint32_t cell_count)
+{
+    return u.cell_begin < cell_begin + cell_count && cell_begin < u.cell_begin + u.cell_count;
+}
+
+static void drop_checks(struct sim_job *j, uint32_t cell_begin, uint32_t cell_count)
+{
+    size_t kept = 0;
+    for (size_t i = 0; i < j->check_count; i++)
+        if (!overlaps(j->checks[i], cell_begin, cell_count))
+            j->checks[kept++] = j->checks[i];
+    j->check_count = kept;
+}
+
+/* What a note means for the book, told now or read again. */
+static void take_note(struct sim *sim, const struct journal_result *r)
+{
+    struct sim_job *j = book_job(sim, r->job);
+    size_t kept = 0;
+    switch ((enum sim_note)r->samples) {
+    case NOTE_CHECK_OPENED:
+        for (size_t i = 0; i < j->check_count; i++)
+            if (memcmp(&j->checks[i], &r->unit, sizeof r->unit) == 0)
+                return;
+        j->checks = sim_grow(j->checks, j->check_count, &j->check_capacity, sizeof *j->checks);
+        j->checks[j->check_count++] = r->unit;
+        break;
+    case NOTE_CHECK_CLOSED:
+        for (size_t i = 0; i < j->check_count; i++)
+            if (memcmp(&j->checks[i], &r->unit, sizeof r->unit) != 0)
+                j->checks[kept++] = j->checks[i];
+        j->check_count = kept;
+        break;
+    case NOTE_BLAME:
+        j->blame = sim_grow(j->blame, j->blame_count, &j->blame_capacity, sizeof *j->blame);
+        j->blame[j->blame_count++] = (struct sched_blame){r->unit, r->worker, r->rays != 0};
+        break;
+    case NOTE_FORGIVEN:
+        j->blame_count = 0;
+        break;
+    case NOTE_LIAR:
+        sim->liars = sim_grow(sim->liars, sim->liar_count, &sim->liar_capacity, sizeof *sim->liars);
+        sim->liars[sim->liar_count++] = r->worker;
+        break;
+    case NOTE_RESET:
+        drop_checks(j, r->unit.cell_begin, r->unit.cell_count);
+        break;
+    }
+}
+
+void book_note(struct sim *sim, const struct sched_action *a, enum sim_note note)
+{
+    struct journal_result r = {.job = a->job,
+                               .unit = a->unit,
+                               .worker = (uint32_t)a->worker,
+                               .samples = note,
+                               .rays = a->alone};
+    append(sim, &r, NULL, 0);
+    take_note(sim, &r);
+}
+
+bool book_lied(const struct sim *sim, uint64_t handle)
+{
+    for (size_t i = 0; i < sim->liar_count; i++)
+        if (sim->liars[i] == handle)
+            return true;
+    return false;
+}
+
+bool book_touched(const struct sim_job *j, uint32_t cell, uint64_t handle)
+{
+    for (uint32_t b = 0; b < j->blocks; b++) {
+        uint64_t spot = spot_index(j, cell, b);
+        if (j->flags[spot] & SPOT_ACCEPTED && j->worker[spot] == handle)
+            return true;
+    }
+    return false;
+}
+
 void book_reset(struct sim *sim, uint32_t job, uint32_t cell_begin, uint32_t cell_count)
 {
     struct sim_job *j = &sim->jobs[job];
     struct sim_disk *d = &sim->disk;
     clear_cells(j, cell_begin, cell_count, SPOT_ACCEPTED | SPOT_ACKED);
+    drop_checks(j, cell_begin, cell_count);
     for (size_t i = 0; i < d->pending_count; i++) {
         struct sim_pending *p = &d->pending[i];
-        if (p->job == j->id && p->unit.cell_begin < cell_begin + cell_count &&
-            cell_begin < p->unit.cell_begin + p->unit.cell_count)
+        if (p->job == j->id && overlaps(p->unit, cell_begin, cell_count))
             p->stale = true;
     }
     append(sim,
@@ -184,7 +270,8 @@ static void replay(struct sim *sim, const struct journal_result *r, uint8_t flag
 {
     struct sim_job *j = book_job(sim, r->job);
     if (r->epoch == 0) {
-        clear_cells(j, r->unit.cell_begin, r->unit.cell_count, SPOT_DURABLE);
+        if (r->samples == NOTE_RESET)
+            clear_cells(j, r->unit.cell_begin, r->unit.cell_count, SPOT_DURABLE);
         return;
     }
     for (uint32_t i = 0; i < r->unit.cell_count; i++) {
@@ -204,7 +291,8 @@ void book_committed(struct sim *sim, size_t end)
     d->durable = end;
     for (; done < d->pending_count && d->pending[done].end <= end; done++) {
         const struct sim_pending *p = &d->pending[done];
-        struct journal_result r = {.job = p->job, .unit = p->unit, .epoch = p->epoch};
+        struct journal_result r = {
+            .job = p->job, .unit = p->unit, .epoch = p->epoch, .samples = (uint64_t)p->note};
         bool acked = p->handle != 0 && !p->stale;
         replay(sim, &r, acked ? SPOT_DURABLE | SPOT_ACKED : SPOT_DURABLE);
     }
@@ -232,7 +320,9 @@ static void recover_record(struct sim *sim, const struct journal_result *r,
     struct sim_job *j = book_job(sim, r->job);
     replay(sim, r, SPOT_DURABLE);
     if (r->epoch == 0) {
-        clear_cells(j, r->unit.cell_begin, r->unit.cell_count, SPOT_ACCEPTED);
+        take_note(sim, r);
+        if (r->samples == NOTE_RESET)
+            clear_cells(j, r->unit.cell_begin, r->unit.cell_count, SPOT_ACCEPTED);
         return;
     }
     SIM_CHECK(sim, r->body_bytes == r->unit.cell_count * sizeof(uint32_t), "a record's size");
@@ -253,7 +343,9 @@ void book_recover(struct sim *sim)
         struct sim_job *j = &sim->jobs[i];
         clear_cells(j, 0, j->cells, SPOT_ACCEPTED | SPOT_DURABLE);
         TL_ASSERT(j->accepted == 0 && j->durable == 0);
+        j->check_count = j->blame_count = 0;
     }
+    sim->liar_count = 0;
     size_t at = 0;
     while (at < d->bytes.bytes) {
         struct journal_result r;

@@ -24,10 +24,15 @@ static void conn_set(struct sim *sim, uint64_t handle, uint32_t conn)
         size_t old = sim->handle_capacity;
         sim->handle_conn =
             sim_grow(sim->handle_conn, old, &sim->handle_capacity, sizeof *sim->handle_conn);
+        size_t capacity = old;
+        sim->handle_worker =
+            sim_grow(sim->handle_worker, old, &capacity, sizeof *sim->handle_worker);
+        TL_ASSERT(capacity == sim->handle_capacity);
         for (size_t i = old; i < sim->handle_capacity; i++)
-            sim->handle_conn[i] = NO_CONN;
+            sim->handle_conn[i] = sim->handle_worker[i] = NO_CONN;
     }
     sim->handle_conn[handle] = conn;
+    sim->handle_worker[handle] = sim->conns[conn].worker;
 }
 
 /* --- Messages out ----------------------------------------------------------------------------- */
@@ -113,41 +118,45 @@ static void compare(struct sim *sim, const struct sched_action *a)
                                          .mismatch = m});
 }
 
-static bool touched(const struct sim_job *j, uint32_t cell, uint64_t handle)
+/* Every cell of a job that the liar touched starts again; the scheduler is told of it. */
+static void reset_touched(struct sim *sim, uint32_t job, uint64_t handle, bool tell)
 {
-    for (uint32_t b = 0; b < j->blocks; b++) {
-        uint64_t spot = spot_index(j, cell, b);
-        if (j->flags[spot] & SPOT_ACCEPTED && j->worker[spot] == handle)
-            return true;
-    }
-    return false;
-}
-
-/* Every cell that the liar touched starts again. */
-static void liar(struct sim *sim, const struct sched_action *a)
-{
-    SIM_CHECK(sim, a->worker < sim->handle_capacity && sim->handle_conn[a->worker] != NO_CONN,
-              "an unknown liar %" PRIu64, a->worker);
-    uint32_t worker = sim->conns[sim->handle_conn[a->worker]].worker;
-    SIM_CHECK(sim, sim->workers[worker].liar, "worker %" PRIu64 " is honest and called a liar",
-              a->worker);
-    sim->stats.liars_found++;
-    for (uint32_t i = 0; i < sim->c.jobs; i++) {
-        const struct sim_job *j = &sim->jobs[i];
-        for (uint32_t cell = 0; cell < j->cells; cell++) {
-            uint32_t begin = cell;
-            while (cell < j->cells && touched(j, cell, a->worker))
-                cell++;
-            if (cell == begin)
-                continue;
-            book_reset(sim, i, begin, cell - begin);
+    const struct sim_job *j = &sim->jobs[job];
+    for (uint32_t cell = 0; cell < j->cells; cell++) {
+        uint32_t begin = cell;
+        while (cell < j->cells && book_touched(j, cell, handle))
+            cell++;
+        if (cell == begin)
+            continue;
+        book_reset(sim, job, begin, cell - begin);
+        if (tell)
             feed_later(sim, (struct sched_event){
                                 .type = SCHED_CELLS_RESET,
                                 .job = j->id,
                                 .unit = {.cell_begin = begin, .cell_count = cell - begin}});
-        }
     }
+}
+
+static void liar(struct sim *sim, const struct sched_action *a)
+{
+    uint32_t worker = a->worker < sim->handle_capacity ? sim->handle_worker[a->worker] : NO_CONN;
+    SIM_CHECK(sim, worker != NO_CONN, "an unknown liar %" PRIu64, a->worker);
+    SIM_CHECK(sim, sim->workers[worker].liar, "worker %" PRIu64 " is honest and called a liar",
+              a->worker);
+    sim->stats.liars_found++;
+    book_note(sim, a, NOTE_LIAR);
+    for (uint32_t i = 0; i < sim->c.jobs; i++)
+        reset_touched(sim, i, a->worker, true);
     feed_later(sim, (struct sched_event){.type = SCHED_LIAR_SETTLED});
+}
+
+void master_retry(struct sim *sim, uint64_t job)
+{
+    if (!sim->m.alive)
+        return;
+    sim->failed_told &= ~(UINT32_C(1) << (job - 1));
+    book_note(sim, &(struct sched_action){.job = job}, NOTE_FORGIVEN);
+    master_feed(sim, &(struct sched_event){.type = SCHED_JOB_RETRY, .job = job});
 }
 
 static void job_news(struct sim *sim, const struct sched_action *a)
@@ -171,13 +180,14 @@ static void job_news(struct sim *sim, const struct sched_action *a)
 static void trace(const struct sim *sim, const struct sched_action *a)
 {
     static const char *const names[] = {
-        [SCHED_OPEN_JOB] = "open",    [SCHED_CLOSE_JOB] = "close",
-        [SCHED_LEASE] = "lease",      [SCHED_REVOKE] = "revoke",
-        [SCHED_ACCEPT] = "accept",    [SCHED_COMPARE] = "compare",
-        [SCHED_VOTE] = "vote",        [SCHED_IGNORE] = "ignore",
-        [SCHED_JOB_DONE] = "done",    [SCHED_JOB_FAILED] = "failed",
-        [SCHED_WORKER_NEWS] = "news", [SCHED_UNIT_LOST] = "unit-lost",
-        [SCHED_DRAINED] = "drained",  [SCHED_LIAR] = "liar"};
+        [SCHED_OPEN_JOB] = "open",      [SCHED_CLOSE_JOB] = "close",
+        [SCHED_LEASE] = "lease",        [SCHED_REVOKE] = "revoke",
+        [SCHED_ACCEPT] = "accept",      [SCHED_COMPARE] = "compare",
+        [SCHED_VOTE] = "vote",          [SCHED_IGNORE] = "ignore",
+        [SCHED_JOB_DONE] = "done",      [SCHED_JOB_FAILED] = "failed",
+        [SCHED_WORKER_NEWS] = "news",   [SCHED_UNIT_LOST] = "unit-lost",
+        [SCHED_DRAINED] = "drained",    [SCHED_LIAR] = "liar",
+        [SCHED_CHECK_OPENED] = "check", [SCHED_CHECK_CLOSED] = "checked"};
     (void)printf("%12.6f %-9s worker %" PRIu64 " job %" PRIu64
                  " cells %u+%u block %u epoch %" PRIu64 " kind %d why %d state %d losses %u%s\n",
                  1e-6 * (double)sim->now_us, names[a->type], a->worker, a->job, a->unit.cell_begin,
@@ -222,12 +232,20 @@ static void act(struct sim *sim, const struct sched_action *a, bool *stored)
                                         .b = sim->conns[conn].worker_life});
         break;
     }
+    case SCHED_CHECK_OPENED:
+        book_note(sim, a, NOTE_CHECK_OPENED);
+        break;
+    case SCHED_CHECK_CLOSED:
+        book_note(sim, a, NOTE_CHECK_CLOSED);
+        break;
+    case SCHED_UNIT_LOST:
+        book_note(sim, a, NOTE_BLAME);
+        break;
     case SCHED_IGNORE:
         SIM_CHECK(sim, a->why != SCHED_WHY_NO_UNIT, "a unit that was leased is called none");
         break;
     case SCHED_VOTE:
     case SCHED_WORKER_NEWS:
-    case SCHED_UNIT_LOST:
         break;
     }
 }
@@ -327,6 +345,9 @@ static void on_hello(struct sim *sim, uint32_t conn, const tilery_Hello *hello)
     m.welcome.heartbeat_ms = 1000;
     MESSAGE_TEXT(m.welcome.worker_id, "w");
     net_send(sim, conn, SIDE_WORKER, &m, NULL, 0);
+    if (book_lied(sim, handle))
+        master_feed(sim, &(struct sched_event){
+                             .type = SCHED_WORKER_PAST, .worker = handle, .past = {.lied = true}});
     master_feed(sim, &(struct sched_event){
                          .type = SCHED_WORKER_JOIN, .worker = handle, .threads = hello->threads});
     master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_RTT,
@@ -461,11 +482,36 @@ static struct sched_done *done_runs(const struct sim_job *j, size_t *count)
     return runs;
 }
 
+/* The checks that are still of one worker's bits; others were cut anew since. */
+static struct sched_open_check *open_checks(const struct sim_job *j, size_t *count)
+{
+    struct sched_open_check *checks = mem_alloc_array(j->check_count, sizeof *checks);
+    TL_ASSERT(checks);
+    *count = 0;
+    for (size_t i = 0; i < j->check_count; i++) {
+        struct unit u = j->checks[i];
+        uint64_t first = spot_index(j, u.cell_begin, u.block);
+        struct sched_open_check c = {.unit = u, .worker = j->worker[first], .digest = 1};
+        bool whole = true;
+        for (uint32_t k = 0; k < u.cell_count; k++) {
+            whole &= j->flags[first + k] & SPOT_ACCEPTED && j->worker[first + k] == c.worker;
+            c.digest = fold(c.digest, j->hash[first + k]);
+        }
+        if (whole)
+            checks[(*count)++] = c;
+    }
+    return checks;
+}
+
 static void add_job(struct sim *sim, uint32_t job)
 {
     struct sim_job *j = &sim->jobs[job];
-    size_t count;
+    /* The master may have died between a liar's name and the cells that it touched. */
+    for (size_t i = 0; i < sim->liar_count; i++)
+        reset_touched(sim, job, sim->liars[i], false);
+    size_t count, check_count;
     struct sched_done *runs = done_runs(j, &count);
+    struct sched_open_check *checks = open_checks(j, &check_count);
     j->done = false;
     j->shown = 0.0;
     master_feed(sim, &(struct sched_event){.type = SCHED_JOB_ADD,
@@ -477,8 +523,13 @@ static void add_job(struct sim *sim, uint32_t job)
                                                    .priority = (int32_t)(job % 2),
                                                    .memory = j->memory,
                                                    .done = runs,
-                                                   .done_count = count}});
+                                                   .done_count = count,
+                                                   .blame = j->blame,
+                                                   .blame_count = j->blame_count,
+                                                   .checks = checks,
+                                                   .check_count = check_count}});
     mem_free(runs);
+    mem_free(checks);
     struct sched_job_info info;
     bool known = sched_job_info(sim->m.s, j->id, &info);
     SIM_CHECK(sim, known && info.spots_done == j->accepted,
@@ -538,4 +589,5 @@ void master_free(struct sim *sim)
         arena_release(&sim->m.arena);
     mem_free(sim->m.later);
     mem_free(sim->handle_conn);
+    mem_free(sim->handle_worker);
 }

@@ -5,3 +5,5 @@ tilery_test(test_sched LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched.c ${unit}/sched_rig.c)
 tilery_test(test_sched_faults LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched_faults.c ${unit}/sched_rig.c)
+tilery_test(test_sched_restart LABEL unit LINKS tl_sched
+  SOURCES ${unit}/test_sched_restart.c ${unit}/sched_rig.c)

@@ -203,6 +203,8 @@ static void test_readers(void **state)
             digest after = picture_digest(&r, f);
             assert_true(digest_equal(&before, &after));
         }
+        /* What is held is not in a file that is saved now: a checkpoint must wait. */
+        assert_int_equal(film_holds(f), i % 7 <= 3);
         if (i % 7 == 3 || (i + 1 == r.unit_count && i % 7 < 3))
             film_read_end(f);
         film_check(f);

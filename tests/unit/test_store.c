@@ -148,6 +148,7 @@ static struct store *open_started(void)
 
 struct found {
     uint64_t replayed;
+    uint32_t notes[STORE_STEP_RESULT];
     bool wrong;
 };
 
@@ -174,7 +175,8 @@ static struct film *load(struct store *s, struct found *found, struct checkpoint
     struct film *film;
     *found = (struct found){0};
     assert_int_equal(
-        store_load_film(s, JOB, &grid, &blocks, check_replay, found, &film, at, sequence), ERR_OK);
+        store_load_film(s, JOB, &grid, &blocks, check_replay, NULL, found, &film, at, sequence),
+        ERR_OK);
     film_check(film);
     assert_false(found->wrong);
     return film;
@@ -427,8 +429,8 @@ static void test_rows(void **state)
 
     assert_int_equal(store_open(folder, &s), ERR_OK);
     uint32_t events = 0;
-    struct store_visitor jobs = {&back, keep_job, NULL, check_key};
-    struct store_visitor lines = {&events, NULL, count_event, NULL};
+    struct store_visitor jobs = {.ctx = &back, .job = keep_job, .key = check_key};
+    struct store_visitor lines = {.ctx = &events, .event = count_event};
     assert_int_equal(store_load(s, &jobs), ERR_OK);
     assert_int_equal(store_load_events(s, JOB, 10000, &lines), ERR_OK);
     assert_int_equal(events, STORE_EVENTS_KEPT);
@@ -476,6 +478,92 @@ static void test_reset(void **state)
     assert_false(film_has_any(film, unit_of(1)));
     assert_true(film_has_any(film, unit_of(2)));
     film_free(film);
+    store_close(s);
+}
+
+static enum err count_note(void *ctx, enum store_step_kind kind, struct unit unit)
+{
+    assert_int_equal(unit.cell_begin, unit_of(1).cell_begin);
+    struct found *found = ctx;
+    found->notes[kind]++;
+    return ERR_OK;
+}
+
+static enum err drop_job(void *ctx, struct job_record *record)
+{
+    (void)ctx;
+    mem_free(record->spec_json);
+    return ERR_OK;
+}
+
+static enum err keep_blame(void *ctx, uint64_t job, const struct sched_blame *blame)
+{
+    struct outcome *o = ctx;
+    assert_int_equal(job, JOB);
+    const struct unit expected = {3, 4, 5};
+    assert_memory_equal(&blame->unit, &expected, sizeof expected);
+    assert_true(blame->worker == 70 || (blame->worker == 71 && blame->alone));
+    o->answered++;
+    return ERR_OK;
+}
+
+static enum err keep_past(void *ctx, const struct worker_past *past)
+{
+    struct outcome *o = ctx;
+    assert_int_equal(past->id, 9);
+    assert_true(past->lied);
+    assert_int_equal(past->pauses, 3);
+    assert_int_equal(past->until_us, INT64_C(1) << 50);
+    o->answered += 100;
+    return ERR_OK;
+}
+
+/* What the scheduler must not forget: checks in the order of the journal, blame, and liars. */
+static void test_checks_blame_and_pasts(void **state)
+{
+    (void)state;
+    put_all(1, 1);
+    struct store *s = open_started();
+    struct outcome o = {0};
+    assert_int_equal(store_put_check(s, JOB, 2, unit_of(1), true, note, &o), ERR_OK);
+    assert_int_equal(store_put_check(s, JOB, 3, unit_of(1), false, note, &o), ERR_OK);
+    const struct sched_blame blame[] = {{{3, 4, 5}, 70, false}, {{3, 4, 5}, 71, true}};
+    for (int i = 0; i < 2; i++)
+        assert_int_equal(store_put_blame(s, JOB, &blame[i]), ERR_OK);
+    assert_int_equal(store_put_past(s, &(struct worker_past){9, false, 2, 5}), ERR_OK);
+    assert_int_equal(store_put_past(s, &(struct worker_past){9, true, 3, INT64_C(1) << 50}),
+                     ERR_OK);
+    while (o.answered < 2)
+        wait_wake(s);
+    assert_int_equal(o.last, ERR_OK);
+    store_close(s);
+
+    struct found found = {0};
+    struct checkpoint at;
+    struct film *film = NULL;
+    uint64_t sequence;
+    assert_int_equal(store_open(folder, &s), ERR_OK);
+    assert_int_equal(store_load_film(s, JOB, &grid, &blocks, check_replay, count_note, &found,
+                                     &film, &at, &sequence),
+                     ERR_OK);
+    assert_int_equal(sequence, 3);
+    assert_int_equal(found.notes[STORE_STEP_CHECK_OPENED], 1);
+    assert_int_equal(found.notes[STORE_STEP_CHECK_CLOSED], 1);
+    film_free(film);
+    struct outcome kept = {0};
+    struct store_visitor v = {
+        .ctx = &kept, .job = drop_job, .key = check_key, .blame = keep_blame, .past = keep_past};
+    assert_int_equal(store_load(s, &v), ERR_OK);
+    assert_int_equal(kept.answered, 102);
+
+    /* Forgiven: nothing is left of the blame. */
+    assert_int_equal(store_start(s, wake, NULL), ERR_OK);
+    assert_int_equal(store_forget_blame(s, JOB), ERR_OK);
+    store_close(s);
+    kept = (struct outcome){0};
+    assert_int_equal(store_open(folder, &s), ERR_OK);
+    assert_int_equal(store_load(s, &v), ERR_OK);
+    assert_int_equal(kept.answered, 100);
     store_close(s);
 }
 
@@ -687,6 +775,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(test_rows, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_reset, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(test_checks_blame_and_pasts, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_flipped_bits, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_cut_and_tail, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_checkpoint, set_up, tear_down),
