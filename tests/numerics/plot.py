@@ -73,10 +73,10 @@ def main():
     figures = read(sys.argv[1])
     folder = pathlib.Path(sys.argv[2] if len(sys.argv) > 2 else ROOT / "docs/img")
     draw(figures["leaks by scale"], "Rays from inside a closed ball that hit nothing",
-         "radius of the ball", "share of rays at vertices and edges", 1e-4,
+         "radius of the ball", "share of rays at vertices and edges", 1e-6,
          folder / "numerics_leaks_scale.png")
     draw(figures["leaks by distance"], "The same for a ball of radius 1 far from the origin",
-         "distance from the origin", "share of rays at vertices and edges", 1e-4,
+         "distance from the origin", "share of rays at vertices and edges", 1e-6,
          folder / "numerics_leaks_distance.png")
     draw(figures["error by distance"], "Place of the hit against exact arithmetic, radius 1",
          "distance from the origin", "largest error, in radii (1: missed)", 1e-16,

@@ -43,6 +43,16 @@ numerics_program(test_rows_glass LINKS tl_worker
   SOURCES ${numerics_dir}/test_rows_glass.c ${numerics_scenes}
   ROWS test_t15_slab test_t15_index_one_is_air test_t17_nested_dielectrics test_t17_shared_faces
        test_t22_blocks test_t22_samples)
+numerics_program(test_regressions LINKS tl_worker Threads::Threads
+  SOURCES ${numerics_dir}/test_regressions.c ${numerics_dir}/closed_mesh.c ${numerics_kit}
+          ${numerics_scenes}
+  ROWS test_embree_387_t_within_the_triangle test_embree_423_every_kernel_agrees
+       test_mitsuba3_1149_no_light_through_the_diagonal test_mitsuba3_550_emitter_at_right_angles
+       test_mitsuba3_1888_no_repeats_beyond_32_bits test_mitsuba_184_threads_change_no_bit
+       test_pbrt4_249_huge_triangle test_pbrt4_313_u_all_but_one
+       test_pbrt3_182_coincident_centroids test_pbrt3_236_no_structure_in_high_dimensions
+       test_povray_469_no_farthest_distance test_moonray_251_degenerate_light_faces
+       test_blender_43835_decals_far_out test_fixed_stacks)
 
 # What other methods make of the rows; plot.py draws it.
 if(TARGET trace_peer)
