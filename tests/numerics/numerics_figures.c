@@ -292,45 +292,59 @@ static void errors(const char *figure, double x, const struct world *w, const st
         printf("%s,\"%s\",%g,%g\n", figure, names[method], x, worst[method]);
 }
 
-/* T8: needles of an aspect under a grazing angle: missed, and the largest error of t. */
+/* A needle of an aspect in any orientation, as floats, and a ray that grazes it. */
+static void needle(uint64_t *state, double aspect, double graze, struct gen_mesh *m, double org[3],
+                   double dir[3])
+{
+    double apex = gen_random(state), turn = gen_random(state), tilt = gen_random(state);
+    double c = cos(6.28 * turn), s = sin(6.28 * turn), d = cos(6.28 * tilt), e = sin(6.28 * tilt);
+    const double axis[3][3] = {{c, s * d, s * e}, {-s, c * d, c * e}, {0, -e, d}};
+    double b1 = 0.1 + 0.4 * gen_random(state), b2 = 0.1 + 0.4 * gen_random(state);
+    double at[2] = {b1 + b2 * apex, b2 / aspect}, from[3] = {at[0] - 2, at[1], 2 * graze};
+    double e1[3], e2[3];
+    from[1] -= gen_random(state);
+    for (int k = 0; k < 3; k++) {
+        e1[k] = axis[0][k];
+        e2[k] = (apex - 1) * axis[0][k] + axis[1][k] / aspect;
+        org[k] = from[0] * axis[0][k] + from[1] * axis[1][k] + from[2] * axis[2][k];
+        dir[k] = at[0] * axis[0][k] + at[1] * axis[1][k] - org[k];
+        org[k] = (double)(float)org[k]; /* the same for all */
+        dir[k] = (double)(float)dir[k];
+    }
+    gen_mesh_init(m);
+    if (gen_quad(m, (double[3]){0, 0, 0}, e1, e2) != ERR_OK)
+        abort();
+    m->triangle_count = 1;
+}
+
+/* T8: of the rays that truly meet the needle, those that miss it, and the largest error of t. */
 static void needles(double aspect, double graze)
 {
-    enum { COUNT = 400 };
-    size_t missed[METHODS] = {0};
+    enum { COUNT = 1000 };
+    size_t missed[METHODS] = {0}, met = 0;
     double worst[METHODS] = {0};
     uint64_t state = 43;
     for (int i = 0; i < COUNT; i++) {
         struct gen_mesh m;
         struct world w;
-        gen_mesh_init(&m);
-        double apex = gen_random(&state);
-        if (gen_quad(&m, (double[3]){0, 0, 0}, (double[3]){1, 0, 0},
-                     (double[3]){apex - 1, 1 / aspect, 0}) != ERR_OK)
-            abort();
-        m.triangle_count = 1; /* corners 0, 1, 2 */
+        double org[3], dir[3];
+        needle(&state, aspect, graze, &m, org, dir);
         world_make(&w, &m, 1, 0);
-        double b1 = 0.1 + 0.4 * gen_random(&state), b2 = 0.1 + 0.4 * gen_random(&state);
-        double at[2] = {b1 + b2 * (double)m.positions[6], b2 * (double)m.positions[7]};
-        double org[3] = {at[0] - 2, at[1] - gen_random(&state), 2 * graze};
-        double dir[3] = {at[0] - org[0], at[1] - org[1], -org[2]};
-        for (int k = 0; k < 3; k++) { /* floats, the same for all */
-            org[k] = (double)(float)org[k];
-            dir[k] = (double)(float)dir[k];
-        }
-        double t = -org[2] / dir[2];
-        for (int method = 0; method < METHODS; method++) {
+        double t = truth(&w, org, dir);
+        for (int method = 0; method < METHODS && t < 1e300; method++) {
             double found = nearest(&w, (enum method)method, org, dir);
             if (isinf(found))
                 missed[method]++;
             else
                 worst[method] = fmax(worst[method], fabs(found - t) / t);
         }
+        met += t < 1e300;
         world_release(&w);
         gen_mesh_release(&m);
     }
-    for (int method = 0; method < METHODS; method++) {
+    for (int method = 0; method < METHODS && met > 0; method++) {
         printf("needles missed at %g rad,\"%s\",%g,%g\n", graze, names[method], aspect,
-               (double)missed[method] / COUNT);
+               (double)missed[method] / (double)met);
         printf("needles t error at %g rad,\"%s\",%g,%g\n", graze, names[method], aspect,
                worst[method]);
     }
@@ -373,41 +387,6 @@ static void slabs(void)
            (double)lost[0] / (double)met, (double)lost[1] / (double)met);
 }
 
-/* --- T9: offsets --------------------------------------------------------------------- */
-
-/* Of rays that leave a triangle of size s: those that hit it again when hits below an absolute
- * epsilon do not count, and when the origin is off by our bound (test_t09: none). */
-static void self_hits(double size)
-{
-    enum { COUNT = 20000 };
-    size_t again = 0;
-    uint64_t state = 45;
-    for (int i = 0; i < COUNT; i++) {
-        struct triangle f;
-        double org[3], dir[3], b1 = gen_random(&state), b2 = gen_random(&state), t;
-        if (b1 + b2 > 1) {
-            b1 = 1 - b1;
-            b2 = 1 - b2;
-        }
-        for (int c = 0; c < 3; c++)
-            for (int k = 0; k < 3; k++)
-                f.v[c][k] = size * (2 * gen_random(&state) - 1 + 3 * (k == 0));
-        for (int k = 0; k < 3; k++) {
-            double to = f.v[0][k] + b1 * (f.v[1][k] - f.v[0][k]) + b2 * (f.v[2][k] - f.v[0][k]);
-            org[k] = 5 * size * (2 * gen_random(&state) - 1);
-            dir[k] = (to - org[k]) / size;
-        }
-        if (!moller_trumbore(&f, org, dir, 0, &t))
-            continue;
-        for (int k = 0; k < 3; k++) {
-            org[k] += t * dir[k];
-            dir[k] = 2 * gen_random(&state) - 1;
-        }
-        again += moller_trumbore(&f, org, dir, 0, &t) && t > 1e-4;
-    }
-    printf("self-hits,\"t over 1e-4\",%g,%g\n", size, (double)again / COUNT);
-}
-
 int main(void)
 {
     struct gen_mesh ball;
@@ -427,13 +406,11 @@ int main(void)
         world_release(&w);
         (void)fflush(stdout);
     }
-    for (int k = 0; k <= 8; k += 2) {
+    for (int k = 0; k <= 6; k += 2) {
         needles(pow(10, k), 1e-2);
         needles(pow(10, k), 1e-4);
     }
     slabs();
-    for (int k = -8; k <= 8; k += 2)
-        self_hits(pow(10, k));
     gen_mesh_release(&ball);
     return 0;
 }

@@ -86,7 +86,7 @@ def test_good_scenes_are_good(tmp_path):
         assert json.loads(done.stdout)["findings"] == [], scene
 
 
-def test_far_float_mesh(tmp_path):
+def test_t04_lost_precision_is_said(tmp_path):
     """Floats at 10^6 come in steps of 1/16; the warning has the numbers, everywhere."""
     points, faces = ball((1e6, 0, 0))
     found = examine(tmp_path, float_ply(points, faces), "far.ply")["far-from-origin"]

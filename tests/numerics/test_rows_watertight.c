@@ -340,79 +340,135 @@ static void test_t07_no_rays(void **state)
 struct needle {
     float v[9];
     struct ray ray;
-    double at[2], inside; /* where it aims, and how far inside as a part of the triangle */
 };
 
-static void needle_make(uint64_t *state, double aspect, double graze, struct needle *n)
+/* In the plane z = 0, where floats hold any aspect; odd ones turned about two axes, which leaves
+ * aspects up to 1e6 more or less what they were. The ray comes along the long side. */
+static void needle_make(uint64_t *state, double aspect, double graze, bool turned, struct needle *n)
 {
-    const float v[9] = {0, 0, 0, 1, 0, 0, (float)gen_random(state), (float)aspect, 0};
-    memcpy(n->v, v, sizeof v);
+    double a = 6.28 * gen_random(state) * turned, b = 6.28 * gen_random(state) * turned;
+    double c = cos(a), s = sin(a), d = cos(b), e = sin(b);
+    const double axis[3][3] = {{c, s * d, s * e}, {-s, c * d, c * e}, {0, -e, d}};
+    double apex = gen_random(state);
     double b1 = 0.05 + 0.45 * gen_random(state), b2 = 0.05 + 0.45 * gen_random(state);
-    n->at[0] = b1 + b2 * (double)v[6];
-    n->at[1] = b2 * (double)v[7];
-    n->ray = (struct ray){
-        {n->at[0] - 2.0, n->at[1] - gen_random(state), 2.0 * graze}, {0}, 0, (double)INFINITY};
-    n->ray.dir[0] = n->at[0] - n->ray.org[0];
-    n->ray.dir[1] = n->at[1] - n->ray.org[1];
-    n->ray.dir[2] = -n->ray.org[2];
+    double to[2] = {b1 + b2 * apex, b2 * aspect};
+    double from[3] = {to[0] - 2, to[1] - gen_random(state), 2 * graze};
+    *n = (struct needle){.ray.tmax = (double)INFINITY};
+    for (int k = 0; k < 3; k++) {
+        n->v[3 + k] = (float)axis[0][k];
+        n->v[6 + k] = (float)(apex * axis[0][k] + aspect * axis[1][k]);
+        n->ray.org[k] = from[0] * axis[0][k] + from[1] * axis[1][k] + from[2] * axis[2][k];
+        n->ray.dir[k] = to[0] * axis[0][k] + to[1] * axis[1][k] - n->ray.org[k];
+    }
 }
 
-/* The line of the rounded ray against the plane z = 0 and the edges there, in quad precision:
- * t, and the least weight of the three vertices. */
-static quad needle_truth(const struct needle *n, quad *least)
+/* The very line against the very triangle, in quad precision: t, and the least of the three
+ * weights; false when they are parallel. */
+static bool needle_truth(const struct needle *n, quad *t, quad *least)
 {
-    quad t = -(quad)n->ray.org[2] / (quad)n->ray.dir[2];
-    quad x = (quad)n->ray.org[0] + t * (quad)n->ray.dir[0];
-    quad y = (quad)n->ray.org[1] + t * (quad)n->ray.dir[1];
-    quad b2 = y / (quad)n->v[7], b1 = x - b2 * (quad)n->v[6], b0 = 1 - b1 - b2;
-    *least = b1 < b2 ? b1 : b2;
-    *least = b0 < *least ? b0 : *least;
-    return t;
+    quad e1[3], e2[3], s[3], p[3], q[3], det = 0, u = 0, v = 0;
+    for (int k = 0; k < 3; k++) {
+        e1[k] = (quad)n->v[3 + k] - (quad)n->v[k];
+        e2[k] = (quad)n->v[6 + k] - (quad)n->v[k];
+        s[k] = (quad)n->ray.org[k] - (quad)n->v[k];
+    }
+    *t = 0;
+    for (int k = 0; k < 3; k++) {
+        int x = (k + 1) % 3, y = (k + 2) % 3;
+        p[k] = (quad)n->ray.dir[x] * e2[y] - (quad)n->ray.dir[y] * e2[x];
+        q[k] = s[x] * e1[y] - s[y] * e1[x];
+    }
+    for (int k = 0; k < 3; k++) {
+        det += e1[k] * p[k];
+        u += s[k] * p[k];
+        v += (quad)n->ray.dir[k] * q[k];
+        *t += e2[k] * q[k];
+    }
+    if (det == 0)
+        return false;
+    u /= det;
+    v /= det;
+    *t /= det;
+    *least = u < v ? u : v;
+    *least = 1 - u - v < *least ? 1 - u - v : *least;
+    return true;
 }
 
-/* Aspects 1 to 1e8 under 1 to 1e-6 rad. A miss is allowed only within 1e-12 of an edge; t is good
- * to 1e-8 up to aspect 1e6 under 1e-4; beyond, it stays in the triangle's own range. */
+/* Is t between the depths of the vertices along the ray's largest axis? */
+static bool within_vertices(const struct needle *n, double t)
+{
+    int z = fabs(n->ray.dir[0]) > fabs(n->ray.dir[1]) ? 0 : 1;
+    z = fabs(n->ray.dir[2]) > fabs(n->ray.dir[z]) ? 2 : z;
+    double low = (double)INFINITY, high = -(double)INFINITY;
+    for (int c = 0; c < 3; c++) {
+        double at = ((double)n->v[3 * c + z] - n->ray.org[z]) / n->ray.dir[z];
+        low = fmin(low, at);
+        high = fmax(high, at);
+    }
+    return t >= low - 1e-8 && t <= high + 1e-8;
+}
+
+/* What a needle's ray and its hit come to. */
+struct needle_counts {
+    size_t met, missed, outside, beyond, coarse;
+    double worst, worst_beyond; /* relative error of t; up to 1e6 and 1e-4 rad, and further */
+};
+
+static void needle_judge(const struct needle *n, const struct hit *hit, bool extreme,
+                         struct needle_counts *c)
+{
+    quad t, least;
+    if (!needle_truth(n, &t, &least))
+        return;
+    c->met += least > 0;
+    if (hit->object == SCENE_NONE) {
+        c->missed += least > 1e-12Q;
+        return;
+    }
+    c->beyond += !within_vertices(n, hit->t);
+    if (least < -1e-9Q) {
+        c->outside++;
+        return;
+    }
+    double off = fabs((double)(((quad)hit->t - t) / t));
+    double *worst = extreme ? &c->worst_beyond : &c->worst;
+    *worst = fmax(*worst, off);
+    c->coarse += !extreme && off > 1e-8;
+}
+
+/* Aspects 1 to 1e8 under 1 to 1e-6 rad. A miss is allowed only within 1e-12 of an edge; t stays in
+ * the triangle's own range, and up to aspect 1e6 under 1e-4 rad it is good to 1e-8: all of the
+ * short form, and all but 1 in 100,000 of the long one (docs/NUMERICS.md, T8, says why no line
+ * holds for all). */
 static void test_t08_needles(void **state)
 {
     (void)state;
     uint64_t random = 3;
-    size_t count = rows_long ? 2000000 : 63000, missed = 0, outside = 0, beyond = 0;
-    double worst = 0.0, worst_beyond = 0.0;
+    size_t count = rows_long ? 2000000 : 63000;
+    struct needle_counts c = {0};
     for (size_t i = 0; i < count; i++) {
         size_t a = i % 9, g = i / 9 % 7;
+        bool turned = i % 2 && a <= 6;
         struct needle n;
-        needle_make(&random, pow(10, -(double)a), pow(10, -(double)g), &n);
-        uint32_t index[3] = {0, 1, 2};
-        struct accel_mesh mesh = {n.v, index, 3, 1};
+        needle_make(&random, pow(10, -(double)a), pow(10, -(double)g), turned, &n);
+        struct accel_mesh mesh = {n.v, (const uint32_t[3]){0, 1, 2}, 3, 1};
         struct accel_object object = {.type = ACCEL_TRIANGLES};
         struct accel_input input = {&mesh, 1, &object, 1};
         struct accel *accel = kit_build(&input, JOB_BUILDER_SAH, isas[i % 3], NULL);
         struct hit hit;
-        quad least, t = needle_truth(&n, &least);
         accel_closest(accel, &n.ray, &hit);
         accel_free(accel);
-        if (hit.object == SCENE_NONE) {
-            missed += least > 1e-12Q;
-            continue;
-        }
-        outside += least < -1e-9Q;
-        quad error = ((quad)hit.t - t) / t;
-        double off = fabs((double)error);
-        if (a <= 6 && g <= 4)
-            worst = fmax(worst, off);
-        else
-            worst_beyond = fmax(worst_beyond, off);
-        /* Depths of the vertices along x bound t. */
-        double low = -n.ray.org[0] / n.ray.dir[0], high = (1 - n.ray.org[0]) / n.ray.dir[0];
-        beyond += hit.t < fmin(low, high) - 1e-8 || hit.t > fmax(low, high) + 1e-8;
+        needle_judge(&n, &hit, a > 6 || g > 4, &c);
     }
-    printf("  T8: %zu needles: %zu missed, %zu hit from outside, t off by %.2g at most "
-           "(%.2g beyond 1e6 or 1e-4 rad), %zu outside the vertices' range\n",
-           count, missed, outside, worst, worst_beyond, beyond);
-    assert_int_equal(missed, 0);
-    assert_int_equal(outside, 0);
-    assert_int_equal(beyond, 0);
-    assert_true(worst <= 1e-8);
+    printf(
+        "  T8: %zu of %zu met needles missed, %zu hit from outside, t off by %.2g at most "
+        "(%.2g beyond 1e6 or 1e-4 rad), over 1e-8 for %zu, outside the vertices' range for %zu\n",
+        c.missed, c.met, c.outside, c.worst, c.worst_beyond, c.coarse, c.beyond);
+    assert_true(c.met > count / 4);
+    assert_int_equal(c.missed, 0);
+    assert_int_equal(c.outside, 0);
+    assert_int_equal(c.beyond, 0);
+    assert_true(c.coarse <= (rows_long ? c.met / 100000 : 0));
 }
 
 int main(int argc, char **argv)
