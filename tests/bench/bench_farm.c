@@ -3,6 +3,8 @@
  * overhead   `tilery render` with two one-thread workers against a loop over render_unit() on two
  *            threads of this process without sockets: scene read, built and rendered in both,
  *            runs interleaved, ratio bare / farm (1 would be a farm that costs nothing).
+ *            The same for processor seconds of all processes, which say on a machine under load
+ *            what wall time cannot; the rest of the wall time is waiting: start, end, hand-over.
  * per job    small jobs one after the other on a running farm: wall time of `tilery submit
  *            --wait` less the same render in this process, in milliseconds a job.
  *
@@ -14,6 +16,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/utsname.h>
 #include <sys/wait.h>
 #include <time.h>
@@ -41,6 +44,20 @@ static double now_s(void)
     struct timespec t;
     (void)clock_gettime(CLOCK_MONOTONIC, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+/* What a run took. */
+struct cost {
+    double wall_s, cpu_s;
+};
+
+/* Processor seconds so far: of this process, or of its children that have ended. */
+static double cpu_s(int who)
+{
+    struct rusage u;
+    (void)getrusage(who, &u);
+    return (double)(u.ru_utime.tv_sec + u.ru_stime.tv_sec) +
+           1e-6 * (double)(u.ru_utime.tv_usec + u.ru_stime.tv_usec);
 }
 
 static void fail(const char *what)
@@ -84,10 +101,10 @@ static void *bare_thread(void *arg)
     return NULL;
 }
 
-/* Seconds to read, build and render the scene on THREADS threads. */
-static double bare_seconds(const struct options *o, uint32_t side, uint64_t spp)
+/* To read, build and render the scene on THREADS threads. */
+static struct cost bare_cost(const struct options *o, uint32_t side, uint64_t spp)
 {
-    double start = now_s();
+    double start = now_s(), start_cpu = cpu_s(RUSAGE_SELF);
     struct scene scene;
     struct job_spec spec;
     struct diag_list problems;
@@ -112,12 +129,12 @@ static double bare_seconds(const struct options *o, uint32_t side, uint64_t spp)
             fail("cannot start a thread");
     for (int i = 0; i < THREADS; i++)
         (void)pthread_join(threads[i], NULL);
-    double seconds = now_s() - start;
+    struct cost cost = {now_s() - start, cpu_s(RUSAGE_SELF) - start_cpu};
     grid_release(&b.grid);
     render_scene_free(built);
     scene_release(&scene);
     diag_release(&problems);
-    return seconds;
+    return cost;
 }
 
 /* --- The farm ---------------------------------------------------------------- */
@@ -153,7 +170,7 @@ static void finish(pid_t pid, const char *what)
         fail(what);
 }
 
-static double farm_seconds(const struct options *o, uint32_t side, uint64_t spp, const char *out)
+static struct cost farm_cost(const struct options *o, uint32_t side, uint64_t spp, const char *out)
 {
     char spp_text[32], size[32];
     (void)snprintf(spp_text, sizeof spp_text, "%llu", (unsigned long long)spp);
@@ -161,9 +178,9 @@ static double farm_seconds(const struct options *o, uint32_t side, uint64_t spp,
     char *args[] = {
         "tilery", "render", (char *)o->scene, "-o",     (char *)out, "--workers", "2", "--threads",
         "1",      "--spp",  spp_text,         "--size", size,        "--quiet",   NULL};
-    double begin = now_s();
+    double begin = now_s(), begin_cpu = cpu_s(RUSAGE_CHILDREN);
     finish(start("tilery", args, NULL), "tilery render failed");
-    return now_s() - begin;
+    return (struct cost){now_s() - begin, cpu_s(RUSAGE_CHILDREN) - begin_cpu};
 }
 
 /* The value of "key": "..." in one line of JSON. */
@@ -190,15 +207,16 @@ static void farm_start(struct farm *f)
     (void)snprintf(f->folder, sizeof f->folder, "/tmp/bench_farm.XXXXXX");
     if (!mkdtemp(f->folder))
         fail("mkdtemp");
-    char *master_args[] = {"tilery-master", "--listen", "127.0.0.1:0", "--http",
-                           "127.0.0.1:0",   "--data",   f->folder,     NULL};
+    char *master_args[] = {"tilery-master", "--listen", "127.0.0.1:0", "--http", "127.0.0.1:0",
+                           "--data",        f->folder,  "--log",       "warn",   NULL};
     f->master = start("tilery-master", master_args, &f->outputs[0]);
     if (!fgets(line, sizeof line, f->outputs[0]))
         fail("the master did not start");
     json_value(line, "\"listen\"", listen_at, sizeof listen_at);
     json_value(line, "\"http\"", http, sizeof http);
     for (int i = 0; i < THREADS; i++) {
-        char *args[] = {"tilery-worker", "--master", listen_at, "--threads", "1", NULL};
+        char *args[] = {"tilery-worker", "--master", listen_at, "--threads", "1",
+                        "--log",         "warn",     NULL};
         f->workers[i] = start("tilery-worker", args, &f->outputs[i + 1]);
         if (!fgets(line, sizeof line, f->outputs[i + 1]))
             fail("a worker did not register");
@@ -237,7 +255,7 @@ static double per_job_ms(const struct options *o, const char *out)
     }
     double farm = now_s() - begin, bare = 0;
     for (int i = 0; i < JOBS_PER_RUN; i++)
-        bare += bare_seconds(o, 64, 2);
+        bare += bare_cost(o, 64, 2).wall_s;
     return (farm - bare) / JOBS_PER_RUN * 1e3;
 }
 
@@ -277,6 +295,24 @@ static void json_case(FILE *to, const char *work, const char *peer, const char *
 static void push(struct series *s, double value)
 {
     s->values[s->count++] = value;
+}
+
+/* The farm beside the bare loop, run by run. */
+struct against {
+    struct series bare, farm, ratio;
+};
+
+static void against_push(struct against *a, double bare, double farm)
+{
+    push(&a->bare, bare);
+    push(&a->farm, farm);
+    push(&a->ratio, bare / farm);
+}
+
+static void against_print(const char *what, const struct against *a)
+{
+    printf("%s median %+.2f %% (%+.2f to %+.2f)\n", what, (1 / series_at(&a->ratio, 0.5) - 1) * 100,
+           (1 / series_at(&a->ratio, 1) - 1) * 100, (1 / series_at(&a->ratio, 0) - 1) * 100);
 }
 
 static void parse(int argc, char **argv, struct options *o)
@@ -323,13 +359,16 @@ int main(int argc, char **argv)
     char out[64];
     (void)snprintf(out, sizeof out, "/tmp/bench_farm.%d.exr", (int)getpid());
 
-    struct series bare = {0}, farm = {0}, ratio = {0}, job = {0}, zero = {0}, one = {0};
+    struct against wall = {0}, cpu = {0};
+    struct series job = {0}, zero = {0}, one = {0};
     for (int i = 0; i < o.runs; i++) {
-        push(&bare, bare_seconds(&o, 512, o.spp));
-        push(&farm, farm_seconds(&o, 512, o.spp, out));
-        push(&ratio, bare.values[i] / farm.values[i]);
-        printf("overhead  run %d: bare %.3f s, farm %.3f s, overhead %+.2f %%\n", i + 1,
-               bare.values[i], farm.values[i], (farm.values[i] / bare.values[i] - 1) * 100);
+        struct cost bare = bare_cost(&o, 512, o.spp), farm = farm_cost(&o, 512, o.spp, out);
+        against_push(&wall, bare.wall_s, farm.wall_s);
+        against_push(&cpu, bare.cpu_s, farm.cpu_s);
+        printf("overhead  run %d: bare %.3f s, farm %.3f s, overhead %+.2f %%; processor %.3f s, "
+               "%.3f s, %+.2f %%\n",
+               i + 1, bare.wall_s, farm.wall_s, (farm.wall_s / bare.wall_s - 1) * 100, bare.cpu_s,
+               farm.cpu_s, (farm.cpu_s / bare.cpu_s - 1) * 100);
         (void)fflush(stdout);
     }
     struct farm running;
@@ -343,9 +382,9 @@ int main(int argc, char **argv)
     }
     farm_stop(&running);
     (void)unlink(out);
-    printf("overhead  median %+.2f %% (%+.2f to %+.2f); per job median %.1f ms (%.1f to %.1f)\n",
-           (1 / series_at(&ratio, 0.5) - 1) * 100, (1 / series_at(&ratio, 1) - 1) * 100,
-           (1 / series_at(&ratio, 0) - 1) * 100, series_at(&job, 0.5), series_at(&job, 0),
+    against_print("overhead ", &wall);
+    against_print("processor", &cpu);
+    printf("per job   median %.1f ms (%.1f to %.1f)\n", series_at(&job, 0.5), series_at(&job, 0),
            series_at(&job, 1));
 
     FILE *json = o.json ? fopen(o.json, "w") : NULL;
@@ -356,7 +395,11 @@ int main(int argc, char **argv)
         (void)uname(&machine);
         (void)fprintf(json, "{\"machine\": \"%s %s, %ld cores\", \"cases\": [", machine.sysname,
                       machine.machine, sysconf(_SC_NPROCESSORS_ONLN));
-        json_case(json, "render 512x512", "bare render_unit loop", "s", &farm, &bare, &ratio);
+        json_case(json, "render 512x512", "bare render_unit loop", "s", &wall.farm, &wall.bare,
+                  &wall.ratio);
+        (void)fputs(", ", json);
+        json_case(json, "render 512x512", "bare render_unit loop", "processor s", &cpu.farm,
+                  &cpu.bare, &cpu.ratio);
         (void)fputs(", ", json);
         json_case(json, "job on a running farm", "goal of 20 ms", "ms", &job, &zero, &one);
         (void)fputs("]}\n", json);
