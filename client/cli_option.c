@@ -1,5 +1,7 @@
 #include "client/cli_option.h"
 
+#include "client/until.h"
+
 #include <errno.h>
 #include <inttypes.h>
 #include <math.h>
@@ -346,6 +348,7 @@ bool cli_line_parse(struct cli_line *line, int argc, char *const *argv, struct d
             return true;
     }
     check_arguments(line, problems);
+    until_check(line, problems);
     return problems->error_count == before;
 }
 

@@ -72,6 +72,7 @@ enum cli_option_id {
     CLI_TARGET_ERROR,
     CLI_MAX_SPP,
     CLI_TIME_LIMIT,
+    CLI_PLAN,
     CLI_SIZE_WH,
     CLI_CROP_XYWH,
     CLI_AOV,

@@ -23,7 +23,8 @@ _Static_assert(CLI_COMMAND_COUNT < 32, "a bit for each command");
 static const char *const render_examples =
     "  tilery render cornell.json -o out.exr --png out.png\n"
     "  tilery render car.json -o car.exr --spp 256 --workers 4\n"
-    "  tilery render car.json -o eye.exr --crop 100,80,64,64    a detail, same bits\n";
+    "  tilery render car.json -o eye.exr --crop 100,80,64,64    a detail, same bits\n"
+    "  tilery render car.json -o car.exr --target-error 0.001   until it is that good\n";
 static const char *const doctor_examples =
     "  tilery doctor scene.json          counts, places and advice\n"
     "  tilery doctor bunny.ply --json    the same for programs\n";
@@ -103,25 +104,35 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                           .argument = "E",
                           .section = "until",
                           .commands = JOB_COMMANDS,
+                          .built = true,
                           .low = 0,
-                          .high = 1e9,
+                          .high = 1e6,
                           .help = "stop when the relMSE is this small"},
     [CLI_MAX_SPP] = {.name = "max-spp",
                      .kind = CLI_COUNT,
                      .argument = "N",
                      .section = "until",
                      .commands = JOB_COMMANDS,
-                     .low = 1,
-                     .high = (double)JOB_SPP_MAX,
-                     .help = "no pixel gets more than this under --target-error"},
+                     .built = true,
+                     .low = JOB_ADAPTIVE_SPP_MIN,
+                     .high = (double)JOB_ADAPTIVE_SPP_MAX,
+                     .help = "no pixel gets more under --target-error or --time-limit [65536]"},
     [CLI_TIME_LIMIT] = {.name = "time-limit",
                         .kind = CLI_NUMBER,
                         .argument = "S",
                         .section = "until",
                         .commands = JOB_COMMANDS,
+                        .built = true,
                         .low = 0,
-                        .high = 1e9,
+                        .high = JOB_TIME_LIMIT_MAX_S,
                         .help = "the best picture within so many seconds"},
+    [CLI_PLAN] = {.name = "plan",
+                  .kind = CLI_PATH,
+                  .argument = "FILE",
+                  .section = "until",
+                  .commands = MAKERS,
+                  .built = true,
+                  .help = "the samples that a report's plan says: the same bits again"},
     [CLI_SIZE_WH] = {.name = "size",
                      .kind = CLI_SIZE,
                      .argument = "WxH",

@@ -226,8 +226,10 @@ static int submit(struct render *r)
     int status = farm_open_private(&r->api, url, r->farm.token, &signals_interrupts);
     if (status != EXIT_DONE)
         return status;
-    struct farm_job_request request = {
-        .name = "render", .package = &r->load.package, .spec_json = r->load.spec_json};
+    struct farm_job_request request = {.name = "render",
+                                       .package = &r->load.package,
+                                       .spec_json = r->load.spec_json,
+                                       .plan_json = r->load.plan_json};
     status = farm_submit(&r->api, &request, r->job);
     load_drop_package(&r->load);
     return status;
@@ -284,10 +286,10 @@ static int wait_job(struct render *r, bool *done)
     progress_init(&r->progress, (enum progress_mode)command_progress_mode(r->cli),
                   r->cli->json ? STDOUT_FILENO : STDERR_FILENO, r->start_s);
     if (r->progress.mode == PROGRESS_LINES)
-        cli_say(r->cli, "%s: %ux%u, %llu spp, %u workers with %u threads",
+        cli_say(r->cli, "%s: %ux%u, %s%llu spp, %u workers with %u threads",
                 cli_safe(r->cli->line.arguments[0]), r->load.spec.crop.width,
-                r->load.spec.crop.height, (unsigned long long)r->load.spec.spp,
-                r->farm.worker_count, r->farm.threads);
+                r->load.spec.crop.height, r->load.spec.stop == JOB_STOP_SPP ? "" : "at most ",
+                (unsigned long long)r->load.spec.spp, r->farm.worker_count, r->farm.threads);
     struct follow follow = {.farm = &r->api,
                             .job = r->job,
                             .progress = &r->progress,

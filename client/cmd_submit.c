@@ -50,6 +50,7 @@ int cmd_submit_send(struct farm *farm, const struct cli *cli, struct load *load,
         .package = &load->package,
         .spec_json = load->spec_json,
         .frame = frame,
+        .plan_json = load->plan_json,
         .priority =
             cli_has(line, CLI_PRIORITY_N) ? strtoll(cli_text(line, CLI_PRIORITY_N), NULL, 10) : 0,
     };

@@ -456,7 +456,9 @@ static int job_post(struct farm *f, const struct farm_job_request *request, char
         buf_printf(&body, ",\"frame\":%u", request->frame->number);
     if (request->frame && request->frame->shot)
         buf_printf(&body, ",\"shot\":\"%s\"", request->frame->shot);
-    buf_printf(&body, "}");
+    if (request->plan_json)
+        buf_printf(&body, ",\"plan\":%s", request->plan_json);
+    buf_put_u8(&body, '}');
     int status = farm_call(f, "POST", "/api/v1/jobs", &body, &reply);
     buf_release(&body);
     if (status != EXIT_DONE)

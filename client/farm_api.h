@@ -72,6 +72,7 @@ struct farm_job_request {
     const char *name;
     const struct package *package;
     const char *spec_json;
+    const char *plan_json; /* NULL: none */
     int64_t priority;
     const struct farm_frame *frame; /* NULL: a picture on its own */
 };

@@ -5,6 +5,7 @@
 #include "client/cli.h"
 #include "client/doctor.h"
 #include "client/import.h"
+#include "client/until.h"
 #include "common/mem.h"
 #include "common/scene_json.h"
 
@@ -64,8 +65,6 @@ static void apply_options(struct load *load, const struct cli_line *line)
     if (cli_has(line, CLI_INTEGRATOR))
         take_integrator(load, line);
     take_choices(spec, line);
-    if (cli_has(line, CLI_SPP))
-        spec->spp = cli_count(line, CLI_SPP);
     if (cli_has(line, CLI_SEED))
         spec->seed = cli_count(line, CLI_SEED);
     if (cli_has(line, CLI_MAX_DEPTH))
@@ -116,6 +115,17 @@ static void make_package(struct load *load)
     load->has_package = true;
 }
 
+/* What ends the job; false: the status says why not. */
+static bool take_until(struct load *load, const struct cli_line *line)
+{
+    enum err e = until_apply(line, &load->spec, &load->plan_json, &load->problems);
+    if (e != ERR_OK)
+        load->status = e == ERR_USAGE ? EXIT_USAGE : err_exit_status(e);
+    if (load->status == EXIT_MACHINE)
+        load->trouble = e;
+    return e == ERR_OK;
+}
+
 static void drop_scene(struct load *load)
 {
     if (load->has_scene)
@@ -144,7 +154,9 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
     }
     load->scene_spec = load->spec;
     apply_options(load, line);
-    if (!options_fit(load, line))
+    if (!take_until(load, line))
+        ; /* said already */
+    else if (!options_fit(load, line))
         load->status = EXIT_USAGE;
     else
         check_light(load, path, line);
@@ -184,6 +196,7 @@ void load_release(struct load *load)
     drop_scene(load);
     load_drop_package(load);
     mem_free(load->spec_json);
+    mem_free(load->plan_json);
     diag_release(&load->problems);
     *load = (struct load){0};
 }

@@ -16,6 +16,7 @@ struct load {
     struct job_spec scene_spec; /* before the options */
     struct package package;
     char *spec_json;           /* owned */
+    char *plan_json;           /* owned; NULL: no --plan */
     struct diag_list problems; /* errors and warnings, also after success */
     bool has_scene, has_package;
     enum err trouble; /* of the machine, with status 5 */

@@ -56,6 +56,24 @@ static void put_error(const struct json *error, struct buf *out)
     if (strcmp(low, "-") != 0 && strcmp(high, "-") != 0)
         buf_printf(out, " (95 %%: %s to %s)", low, high);
     buf_printf(out, "\n");
+    const struct json *heavy = json_get_member(error, "heavy_tail");
+    if (heavy && heavy->type == JSON_BOOL && heavy->truth)
+        buf_printf(out,
+                   "           heavy tail: not to be trusted (effective size %.0f, under 32)\n",
+                   number(error, "effective_size"));
+}
+
+/* What ended a job that was not asked for a number of samples. */
+static void put_end(const struct json *r, struct buf *out)
+{
+    const char *end = reply_text(r, "stopped_by", "spp");
+    const struct json *spec = part(r, "spec");
+    if (strcmp(end, "max-spp") == 0)
+        buf_printf(out, "  stopped  by --max-spp %.0f\n", number(spec, "spp"));
+    else if (strcmp(end, "error") == 0)
+        buf_printf(out, "  stopped  the error is under %g\n", number(spec, "target_error"));
+    else if (strcmp(end, "time") == 0)
+        buf_printf(out, "  stopped  by --time-limit %g\n", number(spec, "time_limit"));
 }
 
 static void put_time(const struct json *r, struct buf *out)
@@ -124,6 +142,7 @@ void report_text(const struct json *report, const char *title, struct buf *out)
     const char *hash = reply_text(report, "image_sha256", NULL);
     put_head(report, title, out);
     put_error(part(report, "error"), out);
+    put_end(report, out);
     put_time(report, out);
     put_farm(report, out);
     if (hash)

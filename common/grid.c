@@ -50,12 +50,15 @@ static void fill_order(struct grid *g)
 
 enum err grid_init(struct grid *g, const struct job_spec *spec)
 {
-    struct grid made = {.crop = spec->crop, .tile = spec->tile};
+    /* Where samples differ from square to square, the cells are those squares. */
+    uint32_t tile = spec->stop == JOB_STOP_SPP ? spec->tile : GRID_SQUARE;
+    struct grid made = {.crop = spec->crop, .tile = tile};
     made.plane_count = job_plane_count(spec);
-    made.column0 = spec->crop.x / spec->tile;
-    made.row0 = spec->crop.y / spec->tile;
-    made.columns = (spec->crop.x + spec->crop.width - 1) / spec->tile - made.column0 + 1;
-    made.rows = (spec->crop.y + spec->crop.height - 1) / spec->tile - made.row0 + 1;
+    made.centre_planes = aov_planes(spec->aov, AOV_CENTRE);
+    made.column0 = spec->crop.x / tile;
+    made.row0 = spec->crop.y / tile;
+    made.columns = (spec->crop.x + spec->crop.width - 1) / tile - made.column0 + 1;
+    made.rows = (spec->crop.y + spec->crop.height - 1) / tile - made.row0 + 1;
     uint64_t cells = (uint64_t)made.columns * made.rows;
     if (cells > GRID_CELLS_MAX)
         return ERR_LIMIT;

@@ -20,11 +20,16 @@ struct grid {
     uint32_t tile;
     uint32_t column0, row0, columns, rows; /* cells that meet the crop */
     uint32_t cell_count;
-    uint32_t plane_count; /* of floats in a unit's payload: job_plane_count */
-    uint32_t *order;      /* cell position on the curve -> row * columns + column; owned */
+    uint32_t plane_count;   /* of floats in a unit's payload: job_plane_count */
+    uint32_t centre_planes; /* of them, behind the colour's, AOVs of kind CENTRE */
+    uint32_t *order;        /* cell position on the curve -> row * columns + column; owned */
 };
 
-enum { GRID_CELLS_MAX = 1 << 24 };
+enum {
+    GRID_CELLS_MAX = 1 << 24,
+    GRID_SQUARE = 16, /* side in pixels of the squares by which error is measured and samples are
+                         allocated, whatever --tile says */
+};
 
 /* ERR_LIMIT: more than GRID_CELLS_MAX cells; ERR_NOMEM. */
 TL_NODISCARD enum err grid_init(struct grid *g, const struct job_spec *spec);

@@ -16,6 +16,7 @@ const char *const job_builder_names[JOB_BUILDER_COUNT] = {JOB_BUILDERS(JOB_NAME)
 const char *const job_intersector_names[JOB_INTERSECTOR_COUNT] = {JOB_INTERSECTORS(JOB_NAME)};
 const char *const job_precision_names[JOB_PRECISION_COUNT] = {JOB_PRECISIONS(JOB_NAME)};
 const char *const job_light_choice_names[JOB_LIGHT_CHOICE_COUNT] = {JOB_LIGHT_CHOICES(JOB_NAME)};
+const char *const job_stop_names[JOB_STOP_COUNT] = {JOB_STOPS(JOB_NAME)};
 #undef JOB_NAME
 
 /* Filters wider than this many pixels blur the picture away; parameters stay this small. */
@@ -95,8 +96,24 @@ static bool choices_valid(const struct job_spec *s)
            (unsigned)s->profile < JOB_PROFILE_COUNT && (unsigned)s->sampler < JOB_SAMPLER_COUNT &&
            (unsigned)s->filter < JOB_FILTER_COUNT && (unsigned)s->builder < JOB_BUILDER_COUNT &&
            (unsigned)s->intersector < JOB_INTERSECTOR_COUNT &&
-           (unsigned)s->precision < JOB_PRECISION_COUNT &&
+           (unsigned)s->precision < JOB_PRECISION_COUNT && (unsigned)s->stop < JOB_STOP_COUNT &&
            (unsigned)s->light_choice < JOB_LIGHT_CHOICE_COUNT;
+}
+
+/* What ends the job has what it needs. */
+static bool stop_valid(const struct job_spec *s, struct diag_list *problems)
+{
+    bool good = true;
+    if (s->stop == JOB_STOP_ERROR)
+        good &= check(s->target_error > 0 && isfinite(s->target_error), problems, "$.target_error",
+                      "a number over 0");
+    if (s->stop == JOB_STOP_TIME)
+        good &= check(s->time_limit_s > 0 && s->time_limit_s <= JOB_TIME_LIMIT_MAX_S, problems,
+                      "$.time_limit", "over 0, at most 10000000 seconds");
+    if (s->stop != JOB_STOP_SPP)
+        good &= check(s->spp >= JOB_ADAPTIVE_SPP_MIN && s->spp <= JOB_ADAPTIVE_SPP_MAX, problems,
+                      "$.spp", "4 to 2^32 where samples differ from square to square");
+    return good;
 }
 
 bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
@@ -122,8 +139,8 @@ bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
     good &= check(s->aov >> AOV_COUNT == 0, problems, "$.aov", "known AOVs");
     good &= check(choices_valid(s), problems, "$",
                   "known integrator, profile, sampler, filter, "
-                  "builder, intersector, precision and light choice");
-    return good;
+                  "builder, intersector, precision, light choice and stop");
+    return stop_valid(s, problems) && good;
 }
 
 /* --- JSON ---------------------------------------------------------------- */
@@ -160,6 +177,12 @@ char *job_spec_to_json(const struct job_spec *s)
     aov_list(s->aov, aovs);
     if (s->aov != 0)
         buf_printf(&b, ",\"aov\":\"%s\"", aovs);
+    if (s->stop != JOB_STOP_SPP)
+        buf_printf(&b, ",\"stop\":\"%s\"", job_stop_names[s->stop]);
+    if (s->target_error > 0)
+        put_number(&b, "target_error", s->target_error);
+    if (s->time_limit_s > 0)
+        put_number(&b, "time_limit", s->time_limit_s);
     buf_put_u8(&b, '}');
     buf_put_u8(&b, 0);
     if (buf_status(&b) == ERR_OK)
@@ -172,7 +195,7 @@ static void read_choices(struct json_get *g, struct job_spec *s)
 {
     int integrator = (int)s->integrator, profile = (int)s->profile, sampler = (int)s->sampler;
     int filter = (int)s->filter, builder = (int)s->builder;
-    int intersector = (int)s->intersector, precision = (int)s->precision;
+    int intersector = (int)s->intersector, precision = (int)s->precision, stop = (int)s->stop;
     int light_choice = (int)s->light_choice;
     const struct {
         const char *key;
@@ -187,6 +210,7 @@ static void read_choices(struct json_get *g, struct job_spec *s)
         {"intersector", job_intersector_names, JOB_INTERSECTOR_COUNT, &intersector},
         {"precision", job_precision_names, JOB_PRECISION_COUNT, &precision},
         {"light_choice", job_light_choice_names, JOB_LIGHT_CHOICE_COUNT, &light_choice},
+        {"stop", job_stop_names, JOB_STOP_COUNT, &stop},
     };
     for (size_t i = 0; i < sizeof choices / sizeof *choices; i++)
         (void)json_get_choice(g, g->root, choices[i].key, choices[i].names, choices[i].count,
@@ -199,6 +223,7 @@ static void read_choices(struct json_get *g, struct job_spec *s)
     s->intersector = (enum job_intersector)intersector;
     s->precision = (enum job_precision)precision;
     s->light_choice = (enum job_light_choice)light_choice;
+    s->stop = (enum job_stop)stop;
 }
 
 static void read_crop(struct json_get *g, struct job_spec *s)
@@ -228,10 +253,11 @@ static void read_aov(struct json_get *g, struct job_spec *s)
 static void read_fields(struct json_get *g, struct job_spec *s)
 {
     static const char *const known[] = {
-        "width",     "height",     "crop",          "spp",          "seed",    "max_depth",
-        "tile",      "integrator", "rr_threshold",  "profile",      "sampler", "filter",
-        "filter_b",  "filter_c",   "filter_radius", "filter_alpha", "builder", "intersector",
-        "precision", "verify",     "aov",           "light_choice",
+        "width",        "height",       "crop",        "spp",          "seed",
+        "max_depth",    "tile",         "integrator",  "rr_threshold", "profile",
+        "sampler",      "filter",       "filter_b",    "filter_c",     "filter_radius",
+        "filter_alpha", "builder",      "intersector", "precision",    "verify",
+        "aov",          "light_choice", "stop",        "target_error", "time_limit",
     };
     const struct json *o = g->root;
     const double limit = FILTER_PARAMETER_MAX;
@@ -250,6 +276,8 @@ static void read_fields(struct json_get *g, struct job_spec *s)
     (void)json_get_number(g, o, "filter_alpha", 0, limit, &s->filter_alpha);
     (void)json_get_number(g, o, "filter_b", -limit, limit, &s->filter_b);
     (void)json_get_number(g, o, "filter_c", -limit, limit, &s->filter_c);
+    (void)json_get_number(g, o, "target_error", 0, limit, &s->target_error);
+    (void)json_get_number(g, o, "time_limit", 0, JOB_TIME_LIMIT_MAX_S, &s->time_limit_s);
     read_choices(g, s);
 }
 
@@ -287,15 +315,67 @@ struct job_blocks job_blocks_of(uint64_t spp)
     return (struct job_blocks){.count = spp == 1 ? 1 : 2 * (uint32_t)per_half, .spp = spp};
 }
 
+/* The pilot: two pairs of blocks, so that its first says soon how fast it goes. */
+enum { PILOT_BLOCKS = 4, PILOT_FIRST = 2, PILOT_HALF = 8 };
+
+uint64_t job_ladder(uint32_t blocks)
+{
+    enum { STRAIGHT = 4, STEP = 2, STEPS_PER_OCTAVE = 4 };
+    if (blocks <= STRAIGHT)
+        return (uint64_t)STEP * blocks;
+    uint32_t above = blocks - STRAIGHT;
+    uint64_t octave = (uint64_t)STEP * STRAIGHT << (above / STEPS_PER_OCTAVE);
+    return octave + above % STEPS_PER_OCTAVE * (octave / STEPS_PER_OCTAVE);
+}
+
+struct job_blocks job_spec_blocks(const struct job_spec *s)
+{
+    if (s->stop == JOB_STOP_SPP)
+        return job_blocks_of(s->spp);
+    TL_ASSERT(s->spp >= JOB_ADAPTIVE_SPP_MIN && s->spp <= JOB_ADAPTIVE_SPP_MAX);
+    struct job_blocks b = {.spp = s->spp, .pilot = s->spp < 2 * PILOT_HALF ? 2 : PILOT_BLOCKS};
+    uint32_t per_half = 1;
+    while (2 * job_ladder(per_half + 1) <= s->spp)
+        per_half++;
+    b.count = b.pilot + 2 * per_half;
+    TL_ASSERT(b.count <= JOB_BLOCKS_MAX);
+    return b;
+}
+
+static struct job_block growing_block(const struct job_blocks *b, uint32_t block)
+{
+    struct job_block out = {.half = block & 1, .pilot = block < b->pilot};
+    uint32_t position = (out.pilot ? block : block - b->pilot) / 2;
+    out.begin = out.pilot ? (uint64_t)PILOT_FIRST * position : job_ladder(position);
+    uint64_t end = out.pilot ? (position ? PILOT_HALF : PILOT_FIRST) : job_ladder(position + 1);
+    out.count = end - out.begin;
+    return out;
+}
+
 struct job_block job_block_at(const struct job_blocks *b, uint32_t block)
 {
     TL_ASSERT(block < b->count);
+    if (b->pilot > 0)
+        return growing_block(b, block);
     uint32_t half = block & 1;
     uint64_t samples = half_samples(b->spp, half), position = block / 2;
     uint64_t per_half = b->count == 1 ? 1 : b->count / 2;
     /* Shares differ by at most one; none is empty, since per_half <= samples. */
     uint64_t begin = samples * position / per_half, end = samples * (position + 1) / per_half;
     return (struct job_block){.half = half, .begin = begin, .count = end - begin};
+}
+
+uint64_t job_blocks_samples(const struct job_blocks *b, uint32_t blocks)
+{
+    if (blocks <= b->pilot)
+        return 0;
+    uint32_t own = blocks - b->pilot;
+    return job_ladder((own + 1) / 2) + job_ladder(own / 2);
+}
+
+uint64_t job_pilot_samples(const struct job_blocks *b)
+{
+    return b->pilot == 0 ? 0 : b->pilot == 2 ? 2 * PILOT_FIRST : 2 * PILOT_HALF;
 }
 
 uint64_t job_sample_number(uint32_t half, uint64_t index)

@@ -25,6 +25,8 @@
 #define JOB_INTERSECTORS(X)  X(WOOP, "woop") X(MOLLER_TRUMBORE, "moller-trumbore")
 #define JOB_LIGHT_CHOICES(X) X(TREE, "tree") X(POWER, "power") X(UNIFORM, "uniform")
 #define JOB_PRECISIONS(X)    X(EXACT, "exact") X(FAST, "fast")
+#define JOB_STOPS(X)                                                                               \
+    X(SPP, "spp") X(ERROR, "error") X(TIME, "time") X(PLAN, "plan") X(PILOT, "pilot")
 
 #define JOB_ENUM(suffix, name) JOB_CHOICE(suffix),
 #define JOB_CHOICE(suffix)     JOB_INTEGRATOR_##suffix
@@ -51,6 +53,11 @@ enum job_precision { JOB_PRECISIONS(JOB_ENUM) JOB_PRECISION_COUNT };
 #define JOB_CHOICE(suffix) JOB_LIGHT_CHOICE_##suffix
 enum job_light_choice { JOB_LIGHT_CHOICES(JOB_ENUM) JOB_LIGHT_CHOICE_COUNT };
 #undef JOB_CHOICE
+#define JOB_CHOICE(suffix) JOB_STOP_##suffix
+/* What ends the job: a number of samples; a measured error; a time; a plan that came with the job
+ * (sample_plan.h); or its pilot, to predict the others from. */
+enum job_stop { JOB_STOPS(JOB_ENUM) JOB_STOP_COUNT };
+#undef JOB_CHOICE
 #undef JOB_ENUM
 
 extern const char *const job_integrator_names[JOB_INTEGRATOR_COUNT];
@@ -61,6 +68,7 @@ extern const char *const job_builder_names[JOB_BUILDER_COUNT];
 extern const char *const job_intersector_names[JOB_INTERSECTOR_COUNT];
 extern const char *const job_precision_names[JOB_PRECISION_COUNT];
 extern const char *const job_light_choice_names[JOB_LIGHT_CHOICE_COUNT];
+extern const char *const job_stop_names[JOB_STOP_COUNT];
 
 /* Index of `name` in a table of names, or -1. */
 int job_choice_find(const char *const *names, int count, const char *name);
@@ -71,6 +79,11 @@ enum {
 };
 enum { JOB_SIDE_MAX = 65535, JOB_TILE_MAX = 65535, JOB_DEPTH_MAX = 1 << 20 };
 #define JOB_SPP_MAX (UINT64_C(1) << 40)
+/* Bounds of spp where samples differ from square to square, and the default of --max-spp. */
+#define JOB_ADAPTIVE_SPP_MIN     4
+#define JOB_ADAPTIVE_SPP_MAX     (UINT64_C(1) << 32)
+#define JOB_ADAPTIVE_SPP_DEFAULT (UINT64_C(1) << 16)
+#define JOB_TIME_LIMIT_MAX_S     1e7
 
 struct job_crop {
     uint32_t x, y, width, height; /* within the full picture, never empty */
@@ -79,7 +92,10 @@ struct job_crop {
 struct job_spec {
     uint32_t width, height; /* of the full picture, 1..JOB_SIDE_MAX */
     struct job_crop crop;   /* the whole picture when not cropped; what is rendered and stored */
-    uint64_t spp;           /* 1..JOB_SPP_MAX */
+    uint64_t spp;           /* 1..JOB_SPP_MAX; but for JOB_STOP_SPP the most a pixel may get */
+    enum job_stop stop;
+    double target_error; /* relMSE; JOB_STOP_ERROR: > 0 */
+    double time_limit_s; /* JOB_STOP_TIME: > 0 */
     uint64_t seed;
     uint32_t max_depth;  /* 1..JOB_DEPTH_MAX */
     double rr_threshold; /* 0: no roulette */
@@ -124,17 +140,34 @@ TL_NODISCARD enum err job_spec_from_json(const char *text, size_t bytes, struct 
  * numbers depend on spp alone. spp >= 2 has at least two blocks. */
 struct job_blocks {
     uint32_t count; /* 1 when spp == 1, else even, at most JOB_BLOCKS_MAX */
+    uint32_t pilot; /* of them are the pilot's; 0: every pixel gets all blocks, there is no pilot */
     uint64_t spp;
 };
 enum { JOB_BLOCKS_MAX = 256, JOB_BLOCK_SAMPLES = 16 /* while spp <= 4,096 */ };
 
 struct job_block {
     uint32_t half;         /* 0 or 1 */
+    bool pilot;            /* of sequences that are the pilot's own */
     uint64_t begin, count; /* indices within the half */
 };
 
 struct job_blocks job_blocks_of(uint64_t spp);
 struct job_block job_block_at(const struct job_blocks *b, uint32_t block);
+
+/* Where samples differ from square to square the blocks grow: a half has 2, 4, 6, 8, 10, 12, 14,
+ * 16, 20, 24, 28, 32, 40, ... samples after its blocks 0, 1, 2, ..., four steps to an octave. The
+ * first blocks are the pilot's (2 + 2 and 6 + 6 samples), with sequences of its own. A cell
+ * gets the pilot and then as many of the blocks as the plan says. */
+struct job_blocks job_spec_blocks(const struct job_spec *s);
+
+/* Samples of a half after its first `blocks` blocks of the estimate: 0, 2, 4, ... */
+uint64_t job_ladder(uint32_t blocks);
+
+/* Samples of a pixel, pilot apart, after so many blocks of the job, pilot included. */
+uint64_t job_blocks_samples(const struct job_blocks *b, uint32_t blocks);
+
+/* Of the pilot. */
+uint64_t job_pilot_samples(const struct job_blocks *b);
 
 /* The number by which a sample is reported: 2 * index + half, in [0, spp). */
 uint64_t job_sample_number(uint32_t half, uint64_t index);

@@ -208,6 +208,7 @@ static void on_tick(uv_timer_t *timer)
     struct farm *f = timer->data;
     workers_tick(f);
     jobs_tick(f);
+    job_plans_tick(f);
     int64_t now = farm_now_ms(f);
     if (now - f->rays_before_ms >= 2000) {
         f->rays_s = (double)(f->counters.rays - f->rays_before) * 1000.0 /
@@ -295,14 +296,16 @@ static void start_handles(struct farm *f)
 {
     (void)uv_timer_init(f->loop, &f->sched_timer);
     (void)uv_timer_init(f->loop, &f->tick_timer);
+    (void)uv_timer_init(f->loop, &f->cut_timer);
     (void)uv_prepare_init(f->loop, &f->settle);
     f->sched_timer.data = f;
     f->tick_timer.data = f;
+    f->cut_timer.data = f;
     f->settle.data = f;
     f->store_wake.data = f;
     (void)uv_timer_start(&f->tick_timer, on_tick, TICK_MS, TICK_MS);
     (void)uv_prepare_start(&f->settle, on_settle);
-    f->handles_open = 4;
+    f->handles_open = 5;
 }
 
 enum err farm_start(struct farm *f, uv_loop_t *loop, const struct farm_options *o)
@@ -346,6 +349,7 @@ static void close_handles(struct farm *f)
 {
     uv_close((uv_handle_t *)&f->sched_timer, on_handle_closed);
     uv_close((uv_handle_t *)&f->tick_timer, on_handle_closed);
+    uv_close((uv_handle_t *)&f->cut_timer, on_handle_closed);
     uv_close((uv_handle_t *)&f->settle, on_handle_closed);
     uv_close((uv_handle_t *)&f->store_wake, on_handle_closed);
 }

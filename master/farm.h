@@ -5,6 +5,7 @@
  *   farm.c       scheduler glue: feeds events, carries out actions, keeps its timer
  *   jobs.c       the table of jobs: submit, admit, pause, cancel, finish, retention
  *   job_film.c   a job's film: load, checkpoint, finish, picture
+ *   job_plan.c   samples by error or time: pilot, plan, stages (job_plan.h)
  *   results.c    a result's way: decode, check, schedule, store, film, acknowledge
  *   verify.c     results that are compared; liars; what is remembered of losses and pauses
  *   workers.c    connections: hello, leases out, heartbeats, loss
@@ -24,6 +25,7 @@
 #include "master/chunks.h"
 #include "master/events.h"
 #include "master/film.h"
+#include "master/job_plan.h"
 #include "master/sched/sched.h"
 #include "master/store.h"
 #include "proto/transport.h"
@@ -56,7 +58,8 @@ struct job {
     struct job_blocks blocks;
     struct grid grid; /* valid while grid_ready */
     bool grid_ready;
-    uint64_t rev; /* rises with every visible change */
+    uint64_t rev;          /* rises with every visible change */
+    struct job_plan *plan; /* NULL: every pixel gets spec.spp samples */
 
     /* While the scheduler knows it. */
     bool in_sched, sched_done;
@@ -149,7 +152,7 @@ struct farm {
     const struct tls_party *tls; /* borrowed; NULL: workers come in clear */
     uint32_t retention_s;        /* finished jobs are kept so long; 0: for ever */
 
-    uv_timer_t sched_timer, tick_timer;
+    uv_timer_t sched_timer, tick_timer, cut_timer;
     uv_prepare_t settle; /* before the loop sleeps: admits jobs */
     uv_async_t store_wake;
     int handles_open;
@@ -207,12 +210,14 @@ struct job_request {
     digest package;
     int32_t priority;
     bool is_frame;
-    uint64_t shot, frame; /* of a frame; shot 0: the first one */
-    const char *key;      /* Idempotency-Key, or NULL */
-    digest body;          /* of the request's body, for the key */
+    uint64_t shot, frame;           /* of a frame; shot 0: the first one */
+    const struct sample_plan *plan; /* for JOB_STOP_PLAN, else NULL */
+    const char *key;                /* Idempotency-Key, or NULL */
+    digest body;                    /* of the request's body, for the key */
 };
 
-/* Makes a job, and calls `done` when it is on disk. ERR_LIMIT: too many jobs or too large. */
+/* Makes a job, and calls `done` when it is on disk. ERR_LIMIT: too many jobs or too large;
+ * ERR_INPUT: the plan does not fit. */
 TL_NODISCARD enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *done,
                                   void *ctx, struct job **out);
 
@@ -261,6 +266,8 @@ void jobs_store_record(struct farm *f, struct job *job);
 
 /* Share done, and seconds left when known. */
 double jobs_done_share(const struct farm *f, const struct job *job);
+/* Fills info's seconds left where the job knows them better than the scheduler. */
+void jobs_left(const struct job *job, struct sched_job_info *info);
 /* Why it is not moving, or "". */
 const char *jobs_note(const struct farm *f, const struct job *job);
 
@@ -276,6 +283,12 @@ TL_NODISCARD enum err job_fetch_film(struct farm *f, struct job *job);
 
 /* Works out the error so far on the pool, now and then: never more than a share of the time. */
 void job_estimate(struct farm *f, struct job *job);
+
+/* A film that is being read must stay, and stay as it is. */
+void job_film_hold(struct job *job);
+void job_film_let_go(struct farm *f, struct job *job);
+
+void job_error_put(struct job_stats *s, const struct film_error *e);
 
 /* Replays checkpoint and journal; before the store's thread starts. */
 TL_NODISCARD enum err job_load_film(struct farm *f, struct job *job);

@@ -1,45 +1,16 @@
-#include "master/film.h"
+#include "master/film_impl.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "common/mem.h"
 
-/* A unit whose payload is not wholly in the sums. */
-struct film_wait {
-    struct film_wait *next;
-    struct unit unit;
-    uint32_t cells_left; /* neither added nor dropped yet */
-    uint64_t pixels;
-    /* Owned; planes of `pixels` finite floats. A cell that was dropped by a reset has a NaN for its
-     * first value. NULL: the entry is a held-back reset of the unit's cells. */
-    float *values;
-};
-
-struct film {
-    const struct grid *grid; /* borrowed */
-    struct job_blocks blocks;
-    uint64_t pixels;
-    uint64_t *cell_offset;       /* cell_count + 1: first pixel of a cell in grid order */
-    double *sum[FILM_HALVES];    /* grid->plane_count planes of `pixels` */
-    uint16_t *next[FILM_HALVES]; /* per cell: blocks of the half that are added */
-    uint64_t *present;           /* bit block * cell_count + cell */
-    struct film_wait *waiting[JOB_BLOCKS_MAX];
-    struct film_wait *held, **held_end; /* arrived while somebody reads, oldest first */
-    uint32_t readers;
-    uint64_t added_count, present_count; /* cell-blocks */
-    uint64_t waiting_bytes;
-};
-
-_Static_assert(JOB_BLOCKS_MAX / 2 <= UINT16_MAX, "next[] counts blocks of a half");
-
 static uint32_t half_of(uint32_t block)
 {
     return block & 1;
 }
 
-/* Blocks of a half. */
-static uint32_t half_blocks(const struct film *f, uint32_t half)
+uint32_t film_half_blocks(const struct film *f, uint32_t half)
 {
     return (f->blocks.count + 1 - half) / 2;
 }
@@ -48,6 +19,16 @@ uint64_t film_bytes_of(const struct job_spec *spec)
 {
     uint64_t pixels = (uint64_t)spec->crop.width * spec->crop.height;
     return pixels * FILM_HALVES * job_plane_count(spec) * sizeof(double);
+}
+
+/* Before there is a plan, every cell gets the pilot. */
+static bool pilot_limits(struct film *f)
+{
+    f->limit = mem_alloc_array(f->grid->cell_count, sizeof *f->limit);
+    f->limit_total = (uint64_t)f->grid->cell_count * f->blocks.pilot;
+    for (uint32_t cell = 0; f->limit && cell < f->grid->cell_count; cell++)
+        f->limit[cell] = (uint16_t)f->blocks.pilot;
+    return f->limit != NULL;
 }
 
 enum err film_new(const struct grid *grid, const struct job_blocks *blocks, struct film **out)
@@ -59,8 +40,9 @@ enum err film_new(const struct grid *grid, const struct job_blocks *blocks, stru
     f->grid = grid;
     f->blocks = *blocks;
     f->held_end = &f->held;
+    f->limit_total = (uint64_t)grid->cell_count * blocks->count;
     f->cell_offset = mem_alloc_array((size_t)grid->cell_count + 1, sizeof *f->cell_offset);
-    uint64_t bits = film_total_count(f);
+    uint64_t bits = (uint64_t)grid->cell_count * blocks->count;
     f->present = mem_calloc((bits + 63) / 64, sizeof *f->present);
     if (!f->cell_offset || !f->present)
         goto fail;
@@ -75,6 +57,8 @@ enum err film_new(const struct grid *grid, const struct job_blocks *blocks, stru
         if (!f->sum[half] || !f->next[half])
             goto fail;
     }
+    if (blocks->pilot > 0 && !pilot_limits(f))
+        goto fail;
     *out = f;
     return ERR_OK;
 
@@ -106,6 +90,7 @@ void film_free(struct film *f)
     }
     mem_free(f->cell_offset);
     mem_free(f->present);
+    mem_free(f->limit);
     mem_free(f);
 }
 
@@ -117,7 +102,7 @@ static bool is_present(const struct film *f, uint32_t block, uint32_t cell)
     return f->present[bit / 64] >> (bit % 64) & 1;
 }
 
-static void set_present(struct film *f, struct unit u)
+void film_set_present(struct film *f, struct unit u)
 {
     uint64_t bit = (uint64_t)u.block * f->grid->cell_count + u.cell_begin;
     for (uint32_t i = 0; i < u.cell_count; i++, bit++)
@@ -155,7 +140,7 @@ uint64_t film_present_count(const struct film *f)
 
 uint64_t film_total_count(const struct film *f)
 {
-    return (uint64_t)f->grid->cell_count * f->blocks.count;
+    return f->limit_total;
 }
 
 uint64_t film_waiting_bytes(const struct film *f)
@@ -185,7 +170,12 @@ static void add_cells(struct film *f, struct film_wait *w, uint32_t begin, uint3
     uint32_t half = half_of(w->unit.block);
     uint64_t first = f->cell_offset[begin], pixels = f->cell_offset[end] - first;
     uint64_t from = first - f->cell_offset[w->unit.cell_begin];
-    for (uint32_t plane = 0; plane < f->grid->plane_count; plane++) {
+    bool counts = !f->planned || f->pilot_kept || w->unit.block >= f->blocks.pilot;
+    /* With a pilot that is kept, the pixels' centres are there already. */
+    bool centred = f->planned && f->pilot_kept && w->unit.block == f->blocks.pilot;
+    for (uint32_t plane = 0; counts && plane < f->grid->plane_count; plane++) {
+        if (centred && plane >= FILM_CHANNELS && plane - FILM_CHANNELS < f->grid->centre_planes)
+            continue;
         double *sum = f->sum[half] + (uint64_t)plane * f->pixels + first;
         const float *values = w->values + (uint64_t)plane * w->pixels + from;
         for (uint64_t i = 0; i < pixels; i++)
@@ -202,8 +192,7 @@ static float *first_value(const struct film *f, const struct film_wait *w, uint3
     return w->values + (f->cell_offset[cell] - f->cell_offset[w->unit.cell_begin]);
 }
 
-/* True while the cell of a waiting unit is neither in the sums nor dropped. */
-static bool is_left(const struct film *f, const struct film_wait *w, uint32_t cell)
+bool film_is_left(const struct film *f, const struct film_wait *w, uint32_t cell)
 {
     return f->next[half_of(w->unit.block)][cell] <= w->unit.block / 2 &&
            !isnan(*first_value(f, w, cell));
@@ -268,7 +257,7 @@ static void drop_waiting(struct film *f, uint32_t block, uint32_t cell)
         struct film_wait *w = *at;
         bool inside = cell >= w->unit.cell_begin && cell - w->unit.cell_begin < w->unit.cell_count;
         if (inside) {
-            w->cells_left -= is_left(f, w, cell);
+            w->cells_left -= film_is_left(f, w, cell);
             *first_value(f, w, cell) = NAN;
         }
         if (w->cells_left > 0)
@@ -327,7 +316,7 @@ enum err film_add(struct film *f, struct unit unit, float *values)
     w->pixels = f->cell_offset[unit.cell_begin + unit.cell_count] - f->cell_offset[unit.cell_begin];
     w->values = values;
     f->waiting_bytes += w->pixels * f->grid->plane_count * sizeof(float);
-    set_present(f, unit);
+    film_set_present(f, unit);
     place_or_hold(f, w);
     return ERR_OK;
 }
@@ -348,6 +337,49 @@ enum err film_reset(struct film *f, uint32_t cell_begin, uint32_t cell_count)
 bool film_holds(const struct film *f)
 {
     return f->held != NULL;
+}
+
+/* Marks the pilot's blocks as there, though nobody rendered them. */
+static void skip_pilot(struct film *f)
+{
+    TL_ASSERT(f->present_count == 0 && f->added_count == 0);
+    for (uint32_t block = 0; block < f->blocks.pilot; block++)
+        film_set_present(f, (struct unit){0, f->grid->cell_count, block});
+    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++)
+        f->next[0][cell] = f->next[1][cell] = (uint16_t)(f->blocks.pilot / 2);
+    f->added_count = f->present_count;
+}
+
+bool film_plan(struct film *f, const uint16_t *limits, enum film_pilot pilot)
+{
+    TL_ASSERT(f->blocks.pilot > 0);
+    if (f->readers > 0)
+        return false;
+    if (!f->planned && pilot != FILM_PILOT_KEPT)
+        for (int half = 0; half < FILM_HALVES; half++)
+            memset(f->sum[half], 0, f->pixels * f->grid->plane_count * sizeof(double));
+    if (!f->planned && pilot == FILM_PILOT_SKIPPED && f->present_count == 0)
+        skip_pilot(f);
+    if (!f->planned)
+        f->pilot_kept = pilot == FILM_PILOT_KEPT;
+    f->planned = true;
+    f->limit_total = 0;
+    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
+        TL_ASSERT(limits[cell] >= 1 && limits[cell] <= f->blocks.count);
+        f->limit[cell] = limits[cell];
+        f->limit_total += limits[cell];
+    }
+    return true;
+}
+
+bool film_planned(const struct film *f)
+{
+    return f->planned;
+}
+
+const uint16_t *film_limits(const struct film *f)
+{
+    return f->limit;
 }
 
 void film_read_begin(struct film *f)
@@ -372,14 +404,22 @@ void film_read_end(struct film *f)
 
 /* --- Reading ------------------------------------------------------------ */
 
-/* Samples of one half that are in the sums of a cell. */
-static uint64_t half_samples(const struct film *f, uint32_t half, uint32_t cell)
+uint64_t film_half_samples(const struct film *f, uint32_t half, uint32_t cell)
 {
-    uint32_t blocks = f->next[half][cell];
+    uint32_t blocks = f->next[half][cell], pilot = f->blocks.pilot / 2;
     if (blocks == 0)
         return 0;
-    struct job_block last = job_block_at(&f->blocks, 2 * (blocks - 1) + half);
-    return last.begin + last.count;
+    if (f->blocks.pilot == 0) {
+        struct job_block last = job_block_at(&f->blocks, 2 * (blocks - 1) + half);
+        return last.begin + last.count;
+    }
+    uint64_t samples = blocks > pilot ? job_ladder(blocks - pilot) : 0;
+    if (!f->planned || f->pilot_kept) {
+        uint32_t of_pilot = blocks < pilot ? blocks : pilot;
+        struct job_block last = job_block_at(&f->blocks, 2 * (of_pilot - 1) + half);
+        samples += last.begin + last.count;
+    }
+    return samples;
 }
 
 void film_picture(const struct film *f, float *rgb)
@@ -387,7 +427,7 @@ void film_picture(const struct film *f, float *rgb)
     const struct job_crop *crop = &f->grid->crop;
     for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
         struct grid_rect r = grid_cell(f->grid, cell);
-        uint64_t samples = half_samples(f, 0, cell) + half_samples(f, 1, cell);
+        uint64_t samples = film_half_samples(f, 0, cell) + film_half_samples(f, 1, cell);
         double count = samples ? (double)samples : 1.0;
         uint64_t from = f->cell_offset[cell];
         for (uint32_t y = 0; y < r.height; y++) {
@@ -440,7 +480,8 @@ void film_aov(const struct film *f, enum film_aov kind, uint32_t plane, float *o
     const struct job_crop *crop = &f->grid->crop;
     for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
         struct grid_rect r = grid_cell(f->grid, cell);
-        double na = (double)half_samples(f, 0, cell), nb = (double)half_samples(f, 1, cell);
+        double na = (double)film_half_samples(f, 0, cell),
+               nb = (double)film_half_samples(f, 1, cell);
         uint64_t from = f->cell_offset[cell];
         for (uint32_t y = 0; y < r.height; y++) {
             uint64_t to = (uint64_t)(r.y - crop->y + y) * crop->width + (r.x - crop->x);
@@ -450,133 +491,12 @@ void film_aov(const struct film *f, enum film_aov kind, uint32_t plane, float *o
     }
 }
 
-/* Mean over all pixels and channels of the picture so far. */
-static double picture_mean(const struct film *f)
-{
-    double total = 0;
-    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
-        double count = (double)(half_samples(f, 0, cell) + half_samples(f, 1, cell));
-        for (uint64_t i = f->cell_offset[cell]; i < f->cell_offset[cell + 1]; i++)
-            for (uint64_t c = 0; c < FILM_CHANNELS; c++)
-                total += (f->sum[0][c * f->pixels + i] + f->sum[1][c * f->pixels + i]) / count;
-    }
-    return total / ((double)f->pixels * FILM_CHANNELS);
-}
-
-/* What the pixels of one square of the full picture, ERROR_SQUARE pixels a side, add up to. Pixels
- * of a square may share paths, so their errors go together; squares are independent. */
-struct error_square {
-    double term;       /* of relMSE */
-    double difference; /* of the halves' means, signed, weighted so that its square is a variance */
-};
-enum { ERROR_SQUARE = 16 };
-
-static void add_pixel_error(const struct film *f, uint64_t i, double na, double nb, double floor_m,
-                            struct error_square *square)
-{
-    double weight = na * nb / ((na + nb) * (na + nb));
-    double term = 0, mean_difference = 0;
-    for (uint64_t c = 0; c < FILM_CHANNELS; c++) {
-        double a = f->sum[0][c * f->pixels + i], b = f->sum[1][c * f->pixels + i];
-        double x = (a + b) / (na + nb), difference = a / na - b / nb;
-        double below = x * x + floor_m;
-        if (below > 0)
-            term += weight * difference * difference / below / FILM_CHANNELS;
-        mean_difference += difference / FILM_CHANNELS;
-    }
-    square->term += term;
-    square->difference += sqrt(weight) * mean_difference;
-}
-
-/* Which squares the crop meets. */
-struct error_grid {
-    uint32_t column0, row0, columns;
-    size_t count;
-};
-
-static struct error_grid error_grid_of(const struct job_crop *crop)
-{
-    struct error_grid g = {.column0 = crop->x / ERROR_SQUARE, .row0 = crop->y / ERROR_SQUARE};
-    g.columns = (crop->x + crop->width - 1) / ERROR_SQUARE - g.column0 + 1;
-    uint32_t rows = (crop->y + crop->height - 1) / ERROR_SQUARE - g.row0 + 1;
-    g.count = (size_t)g.columns * rows;
-    return g;
-}
-
-static void add_cell_error(const struct film *f, uint32_t cell, double floor_m,
-                           const struct error_grid *squares, struct error_square *sums)
-{
-    double na = (double)half_samples(f, 0, cell), nb = (double)half_samples(f, 1, cell);
-    struct grid_rect r = grid_cell(f->grid, cell);
-    uint64_t i = f->cell_offset[cell];
-    for (uint32_t y = r.y; y < r.y + r.height; y++) {
-        for (uint32_t x = r.x; x < r.x + r.width; x++) {
-            size_t column = x / ERROR_SQUARE - squares->column0;
-            size_t row = y / ERROR_SQUARE - squares->row0;
-            add_pixel_error(f, i++, na, nb, floor_m, &sums[row * squares->columns + column]);
-        }
-    }
-}
-
-/* Student's 97.5 % quantile (Abramowitz and Stegun 26.7.5, two terms); few squares know little. */
-static double student_quantile(double degrees)
-{
-    const double z = 1.959964, z3 = z * z * z, z5 = z3 * z * z;
-    return z + (z3 + z) / (4 * degrees) + (5 * z5 + 16 * z3 + 3 * z) / (96 * degrees * degrees);
-}
-
-/* The picture's error and interval from the sums of its squares. */
-static struct film_error error_of_squares(const struct error_square *sums, size_t count,
-                                          double pixels, double mean)
-{
-    double term = 0, spread = 0, mean_variance = 0;
-    for (size_t i = 0; i < count; i++)
-        term += sums[i].term;
-    for (size_t i = 0; i < count; i++) {
-        double apart = sums[i].term - term / (double)count;
-        spread += apart * apart;
-        mean_variance += sums[i].difference * sums[i].difference;
-    }
-    /* One square knows nothing of its spread: as large as itself. */
-    double variance = count > 1 ? spread * (double)count / (double)(count - 1) : term * term;
-    double degrees = count > 1 ? (double)(count - 1) : 1;
-    double relmse = term / pixels;
-    double relmse_error = student_quantile(degrees) * sqrt(variance) / pixels;
-    double mean_error = student_quantile((double)count) * sqrt(mean_variance) / pixels;
-    return (struct film_error){
-        .known = isfinite(relmse) && isfinite(mean),
-        .relmse = relmse,
-        .relmse_low = relmse > relmse_error ? relmse - relmse_error : 0,
-        .relmse_high = relmse + relmse_error,
-        .mean = mean,
-        .mean_low = mean - mean_error,
-        .mean_high = mean + mean_error,
-    };
-}
-
-void film_error_estimate(const struct film *f, struct film_error *out)
-{
-    *out = (struct film_error){0};
-    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++)
-        if (f->next[0][cell] == 0 || f->next[1][cell] == 0)
-            return;
-    struct error_grid squares = error_grid_of(&f->grid->crop);
-    struct error_square *sums = mem_calloc(squares.count, sizeof *sums);
-    if (!sums)
-        return;
-    double mean = picture_mean(f);
-    for (uint32_t cell = 0; cell < f->grid->cell_count; cell++)
-        add_cell_error(f, cell, 0.01 * mean * mean, &squares, sums);
-    *out = error_of_squares(sums, squares.count, (double)f->pixels, mean);
-    mem_free(sums);
-}
-
 void film_samples(const struct film *f, uint64_t *spp_min, double *spp_mean, uint64_t *spp_max)
 {
     uint64_t lowest = UINT64_MAX, highest = 0;
     double total = 0;
     for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
-        uint64_t samples = half_samples(f, 0, cell) + half_samples(f, 1, cell);
+        uint64_t samples = film_half_samples(f, 0, cell) + film_half_samples(f, 1, cell);
         lowest = samples < lowest ? samples : lowest;
         highest = samples > highest ? samples : highest;
         total += (double)samples * (double)(f->cell_offset[cell + 1] - f->cell_offset[cell]);
@@ -591,7 +511,7 @@ void film_check(const struct film *f)
     uint64_t added = 0, present = 0, waiting_cells = 0;
     for (uint32_t half = 0; half < FILM_HALVES; half++)
         for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
-            TL_ASSERT(f->next[half][cell] <= half_blocks(f, half));
+            TL_ASSERT(f->next[half][cell] <= film_half_blocks(f, half));
             added += f->next[half][cell];
             for (uint32_t i = 0; !f->held && i < f->next[half][cell]; i++)
                 TL_ASSERT(is_present(f, 2 * i + half, cell));
@@ -606,155 +526,4 @@ void film_check(const struct film *f)
     }
     TL_ASSERT(added == f->added_count && present == f->present_count);
     TL_ASSERT(f->held || added + waiting_cells == present);
-}
-
-/* --- Saving ------------------------------------------------------------- */
-
-/* Layout, little-endian: magic, block_count, AOV planes, pixels, spp, cell_count, unit count; then
- * next[] and sums of half 0 and 1; then per waiting unit begin, count, block and its planes. */
-enum { FILM_MAGIC = 0x314d4c46 /* "FLM1" */ };
-
-struct film_header {
-    uint32_t magic;
-    uint16_t block_count, aov_planes;
-    uint64_t pixels, spp;
-    uint32_t cell_count, unit_count;
-};
-_Static_assert(sizeof(struct film_header) == 32, "written as it lies");
-_Static_assert(JOB_BLOCKS_MAX <= UINT16_MAX, "block_count");
-
-/* The next run of cells of a waiting unit, from `cell` on, that are not in the sums. */
-static bool left_run(const struct film *f, const struct film_wait *w, uint32_t cell,
-                     struct unit *run)
-{
-    uint32_t end = w->unit.cell_begin + w->unit.cell_count;
-    while (cell < end && !is_left(f, w, cell))
-        cell++;
-    uint32_t begin = cell;
-    while (cell < end && is_left(f, w, cell))
-        cell++;
-    *run = (struct unit){begin, cell - begin, w->unit.block};
-    return cell > begin;
-}
-
-static uint32_t waiting_runs(const struct film *f)
-{
-    uint32_t count = 0;
-    struct unit run;
-    for (uint32_t block = 0; block < f->blocks.count; block++)
-        for (const struct film_wait *w = f->waiting[block]; w; w = w->next)
-            for (uint32_t cell = w->unit.cell_begin; left_run(f, w, cell, &run);
-                 cell = run.cell_begin + run.cell_count)
-                count++;
-    return count;
-}
-
-static enum err save_unit(const struct film *f, const struct film_wait *w,
-                          enum err (*write)(void *ctx, const void *data, size_t bytes), void *ctx)
-{
-    struct unit run;
-    for (uint32_t cell = w->unit.cell_begin; left_run(f, w, cell, &run);
-         cell = run.cell_begin + run.cell_count) {
-        uint64_t first = f->cell_offset[run.cell_begin];
-        uint64_t pixels = f->cell_offset[run.cell_begin + run.cell_count] - first;
-        uint64_t from = first - f->cell_offset[w->unit.cell_begin];
-        TL_TRY(write(ctx, &run, sizeof run));
-        for (uint64_t c = 0; c < f->grid->plane_count; c++)
-            TL_TRY(write(ctx, w->values + c * w->pixels + from, pixels * sizeof(float)));
-    }
-    return ERR_OK;
-}
-
-static struct film_header header_of(const struct film *f)
-{
-    return (struct film_header){.magic = FILM_MAGIC,
-                                .block_count = (uint16_t)f->blocks.count,
-                                .aov_planes = (uint16_t)(f->grid->plane_count - FILM_CHANNELS),
-                                .pixels = f->pixels,
-                                .spp = f->blocks.spp,
-                                .cell_count = f->grid->cell_count};
-}
-
-enum err film_save(const struct film *f,
-                   enum err (*write)(void *ctx, const void *data, size_t bytes), void *ctx)
-{
-    struct film_header header = header_of(f);
-    header.unit_count = waiting_runs(f);
-    TL_TRY(write(ctx, &header, sizeof header));
-    for (int half = 0; half < FILM_HALVES; half++) {
-        TL_TRY(write(ctx, f->next[half], f->grid->cell_count * sizeof *f->next[half]));
-        TL_TRY(write(ctx, f->sum[half], f->pixels * f->grid->plane_count * sizeof(double)));
-    }
-    for (uint32_t block = 0; block < f->blocks.count; block++)
-        for (const struct film_wait *w = f->waiting[block]; w; w = w->next)
-            TL_TRY(save_unit(f, w, write, ctx));
-    return ERR_OK;
-}
-
-static enum err load_sums(struct film *f, enum err (*read)(void *ctx, void *data, size_t bytes),
-                          void *ctx)
-{
-    for (uint32_t half = 0; half < FILM_HALVES; half++) {
-        TL_TRY(read(ctx, f->next[half], f->grid->cell_count * sizeof *f->next[half]));
-        TL_TRY(read(ctx, f->sum[half], f->pixels * f->grid->plane_count * sizeof(double)));
-        for (uint32_t cell = 0; cell < f->grid->cell_count; cell++) {
-            if (f->next[half][cell] > half_blocks(f, half))
-                return ERR_CORRUPT;
-            for (uint32_t i = 0; i < f->next[half][cell]; i++)
-                set_present(f, (struct unit){cell, 1, 2 * i + half});
-            f->added_count += f->next[half][cell];
-        }
-        for (uint64_t i = 0; i < f->pixels * f->grid->plane_count; i++)
-            if (!isfinite(f->sum[half][i]))
-                return ERR_CORRUPT;
-    }
-    return ERR_OK;
-}
-
-static enum err load_unit(struct film *f, enum err (*read)(void *ctx, void *data, size_t bytes),
-                          void *ctx)
-{
-    struct unit unit;
-    TL_TRY(read(ctx, &unit, sizeof unit));
-    if (!grid_has_unit(f->grid, &f->blocks, unit))
-        return ERR_CORRUPT;
-    uint64_t pixels =
-        f->cell_offset[unit.cell_begin + unit.cell_count] - f->cell_offset[unit.cell_begin];
-    float *values = mem_alloc_array(pixels, f->grid->plane_count * sizeof(float));
-    if (!values)
-        return ERR_NOMEM;
-    enum err e = read(ctx, values, pixels * f->grid->plane_count * sizeof(float));
-    for (uint64_t i = 0; e == ERR_OK && i < pixels * f->grid->plane_count; i++)
-        if (!isfinite(values[i]))
-            e = ERR_CORRUPT;
-    if (e == ERR_OK)
-        e = film_add(f, unit, values);
-    if (e == ERR_STATE)
-        e = ERR_CORRUPT;
-    if (e != ERR_OK)
-        mem_free(values);
-    return e;
-}
-
-enum err film_load(const struct grid *grid, const struct job_blocks *blocks,
-                   enum err (*read)(void *ctx, void *data, size_t bytes), void *ctx,
-                   struct film **out)
-{
-    struct film_header header;
-    TL_TRY(read(ctx, &header, sizeof header));
-    struct film *f = NULL;
-    TL_TRY(film_new(grid, blocks, &f));
-    struct film_header expected = header_of(f);
-    expected.unit_count = header.unit_count;
-    enum err e = memcmp(&header, &expected, sizeof header) == 0 ? ERR_OK : ERR_CORRUPT;
-    if (e == ERR_OK)
-        e = load_sums(f, read, ctx);
-    for (uint32_t i = 0; e == ERR_OK && i < header.unit_count; i++)
-        e = load_unit(f, read, ctx);
-    if (e != ERR_OK) {
-        film_free(f);
-        return e;
-    }
-    *out = f;
-    return ERR_OK;
 }

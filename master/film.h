@@ -18,6 +18,7 @@
  *   2. next[half][cell] blocks of a half are added, and none behind them.
  *   3. A waiting unit has at least one cell whose turn has not come.
  *
+ * Files: film.c adds, film_error.c measures, film_file.c saves and loads.
  * Tests: tests/unit/test_film.c.
  */
 #ifndef MASTER_FILM_H
@@ -77,20 +78,48 @@ void film_picture(const struct film *f, float *rgb);
 enum film_aov { FILM_AOV_SUM, FILM_AOV_MEAN, FILM_AOV_SAMPLES, FILM_AOV_ERROR };
 void film_aov(const struct film *f, enum film_aov kind, uint32_t plane, float *out);
 
-/* What the halves say about the picture's error; all 0 and false when a pixel has no sample in
- * one of the halves. relMSE as in ARCHITECTURE.md, its reference replaced by the picture
- * itself and (x - r)^2 by its unbiased estimate from the halves, w (A - B)^2 with
- * w = nA nB / (nA + nB)^2. Pixels of one 16 x 16 square of the full picture may share paths, so the
- * intervals come from the spread of the squares' sums, as a bootstrap over them would give; they
- * do not depend on --tile. */
+/* --- Cells with different numbers of blocks (job_blocks.pilot > 0) ---------
+ *
+ * Such a film begins with the pilot's blocks for every cell. film_plan then says how many blocks,
+ * the pilot's included, each cell gets, and what becomes of the pilot's samples. */
+enum film_pilot {
+    FILM_PILOT_DROPPED, /* it set the plan: its samples are no part of the estimate */
+    FILM_PILOT_KEPT,    /* the plan does not depend on what it saw */
+    FILM_PILOT_SKIPPED, /* dropped, and where nothing is rendered yet, never rendered */
+};
+
+/* `limits` is copied; none below what a cell has. The pilot's fate is decided by the first call.
+ * False while somebody reads: try again. */
+TL_NODISCARD bool film_plan(struct film *f, const uint16_t *limits, enum film_pilot pilot);
+bool film_planned(const struct film *f);
+
+/* Blocks that each cell gets, as things are; NULL: all of them. */
+const uint16_t *film_limits(const struct film *f);
+
+/* What the halves say about the picture's error (docs/ERROR.md has the formulas and what was
+ * measured of them); all 0 and false when a pixel has no sample in one of the halves. relMSE as
+ * in ARCHITECTURE.md, with (x - r)^2 replaced by its unbiased estimate from the halves. Pixels of
+ * a 4 x 4 group may share paths, so the intervals come from the spread of the groups' sums
+ * within each 16 x 16 square of the full picture; they do not depend on --tile. */
 struct film_error {
     bool known;
     double relmse, relmse_low, relmse_high; /* 95 % */
+    double relmse_deviation;                /* standard deviation of relmse, as estimated */
     double mean, mean_low, mean_high;       /* of all pixels and channels, 95 % */
+    double effective;          /* groups that carry the error: (sum)^2 / sum of squares */
+    uint32_t worst_x, worst_y; /* corner of the square with the largest mean error */
+    double worst_relmse;       /* of that square */
 };
 
-/* Reader. Unknown when memory for the squares' sums cannot be had. */
+/* Below this effective size a few spikes carry the error, and others may not have been seen. */
+enum { FILM_EFFECTIVE_MIN = 32 };
+
+/* Reader. Unknown when memory cannot be had. */
 void film_error_estimate(const struct film *f, struct film_error *out);
+
+/* Reader. The same estimate per pixel, one float for each, row by row of the crop: their mean is
+ * relmse. False: not known. */
+TL_NODISCARD bool film_error_pixels(const struct film *f, float *out);
 
 /* Fewest, mean and most samples of a pixel. Reader. */
 void film_samples(const struct film *f, uint64_t *spp_min, double *spp_mean, uint64_t *spp_max);

@@ -35,7 +35,7 @@ static const struct route routes[] = {
     {"POST", "/api/v1/session", http_post_session, HTTP_BODY_BYTES_MAX, true},
     {"POST", "/api/v1/chunks/missing", http_post_missing, HTTP_BODY_BYTES_MAX * 16, false},
     {"PUT", "/api/v1/chunks/{}", http_put_chunk, HTTP_CHUNK_BYTES_MAX, false},
-    {"POST", "/api/v1/jobs", http_post_jobs, HTTP_BODY_BYTES_MAX, false},
+    {"POST", "/api/v1/jobs", http_post_jobs, HTTP_BODY_BYTES_MAX * 16, false},
     {"GET", "/api/v1/jobs", http_get_jobs, 0, false},
     {"GET", "/api/v1/jobs/{}", http_get_job, 0, false},
     {"PATCH", "/api/v1/jobs/{}", http_patch_job, HTTP_BODY_BYTES_MAX, false},

@@ -107,7 +107,39 @@ static void put_farm(struct buf *b, const struct job *job, const struct sched_jo
     put_number(b, "mean_low", s->mean_low, known);
     buf_put_u8(b, ',');
     put_number(b, "mean_high", s->mean_high, known);
-    buf_put_u8(b, '}');
+    buf_put_u8(b, ',');
+    put_number(b, "effective_size", s->effective, known);
+    if (known)
+        buf_printf(b, ",\"heavy_tail\":%s,\"worst_cell\":{\"x\":%.0f,\"y\":%.0f,\"relmse\":",
+                   s->relmse > 0 && s->effective < FILM_EFFECTIVE_MIN ? "true" : "false",
+                   s->worst_x, s->worst_y);
+    else
+        buf_printf(b, ",\"heavy_tail\":null,\"worst_cell\":null");
+    if (known)
+        json_put_number(b, s->worst_relmse);
+    buf_printf(b, known ? "}}" : "}");
+}
+
+/* What ended the job, and the plan that it followed. */
+static void put_plan(struct buf *b, const struct job *job)
+{
+    const struct job_plan *p = job->plan;
+    unsigned end = (unsigned)job->rec.stats.stopped_by;
+    bool done = job->rec.state == JOB_STATE_DONE;
+    if (done && end > JOB_END_NONE && end < JOB_END_COUNT)
+        buf_printf(b, ",\"stopped_by\":\"%s\"", job_end_names[end]);
+    else
+        buf_printf(b, ",\"stopped_by\":null");
+    buf_printf(b, ",\"plan\":");
+    if (p && p->sealed && job->grid_ready)
+        sample_plan_put(b, &job->grid, &job->blocks, p->limits, p->pilot == FILM_PILOT_KEPT);
+    else
+        buf_printf(b, "null");
+    buf_printf(b, ",\"adaptive_gain\":");
+    if (p && p->gain > 0)
+        json_put_number(b, p->gain);
+    else
+        buf_printf(b, "null");
 }
 
 static void put_events(struct buf *b, const struct job *job)
@@ -154,6 +186,7 @@ static void put_report(struct buf *b, struct farm *f, const struct job *job)
 {
     struct sched_job_info info = {0};
     bool known = job->in_sched && sched_job_info(f->sched, job->rec.id, &info);
+    jobs_left(job, &info);
     buf_printf(b, "{\"job\":\"j%" PRIu64 "\",\"id\":\"j%" PRIu64 "\",\"name\":", job->rec.id,
                job->rec.id);
     json_put_text(b, job->rec.name);
@@ -172,6 +205,7 @@ static void put_report(struct buf *b, struct farm *f, const struct job *job)
     put_samples(b, job);
     put_seconds(b, job);
     put_farm(b, job, &info);
+    put_plan(b, job);
     buf_printf(b, ",\"workers_now\":%" PRIu32, info.workers);
     put_frame(b, job);
     put_shot(b, f, job);
@@ -291,9 +325,18 @@ struct submission {
     struct http_job_body asked;
     char key[128];
     bool has_key;
+    struct sample_plan plan;
+    bool has_plan;
     digest body;
     uint64_t job;
 };
+
+static void submission_free(struct submission *s)
+{
+    if (s)
+        sample_plan_release(&s->plan);
+    mem_free(s);
+}
 
 static void submit_stored(void *ctx, enum err e)
 {
@@ -313,7 +356,7 @@ static void submit_stored(void *ctx, enum err e)
     } else if (r) {
         request_error(r, ERR_CANCELLED);
     }
-    mem_free(s);
+    submission_free(s);
 }
 
 static void reply_missing(struct request *r, const struct buf *missing)
@@ -343,6 +386,7 @@ static bool make_job(struct request *r, struct submission *s)
                                 .is_frame = s->asked.is_frame,
                                 .shot = s->asked.shot,
                                 .frame = s->asked.frame,
+                                .plan = s->has_plan ? &s->plan : NULL,
                                 .key = s->has_key ? s->key : NULL,
                                 .body = s->body};
     struct job *job = NULL;
@@ -356,6 +400,11 @@ static bool make_job(struct request *r, struct submission *s)
         if (e == ERR_LIMIT)
             request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "over-limit",
                             "too many jobs, or too large a picture");
+        else if (e == ERR_INPUT)
+            request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-plan",
+                            "the plan does not fit: it must cover the picture, come with "
+                            "\"stop\": \"plan\", spp must be its max_spp and its numbers those "
+                            "of blocks");
         else
             request_error(r, e);
         return false;
@@ -380,13 +429,17 @@ static void package_checked(void *ctx, enum err e, struct buf *missing)
             request_error(r, e);
     }
     (void)request_of(s->later);
-    mem_free(s);
+    submission_free(s);
 }
 
 /* The members of the body and the key; false: problems were added. */
 static bool read_submission(struct request *r, struct json_get *g, struct submission *s)
 {
     bool good = http_body_job(g, &s->asked) == ERR_OK;
+    const struct json *plan = json_get_member(g->root, "plan");
+    s->has_plan = plan != NULL;
+    if (plan && sample_plan_read(g, plan, &s->plan) == ERR_NOMEM)
+        json_get_problem(g, DIAG_ERROR, plan, "out-of-memory", NULL, "out of memory");
     const char *key = request_head(r, "Idempotency-Key");
     if (key && (strlen(key) == 0 || strlen(key) >= sizeof s->key))
         json_get_problem(g, DIAG_ERROR, g->root, "bad-key", NULL,
@@ -413,7 +466,8 @@ static bool answer_by_key(struct request *r, const struct submission *s)
 
 void http_post_jobs(struct request *r)
 {
-    static const char *const keys[] = {"name", "package", "spec", "priority", "shot", "frame"};
+    static const char *const keys[] = {"name", "package", "spec", "priority",
+                                       "shot", "frame",   "plan"};
     struct json_get g;
     struct diag_list problems;
     if (!request_json(r, &g, &problems, keys, sizeof keys / sizeof *keys))
@@ -428,12 +482,12 @@ void http_post_jobs(struct request *r)
                          &problems);
     diag_release(&problems);
     if (!good || answer_by_key(r, s)) {
-        mem_free(s);
+        submission_free(s);
         return;
     }
     s->later = request_later(r);
     if (!s->later) {
-        mem_free(s);
+        submission_free(s);
         return;
     }
     enum err e = chunks_check_package(r->farm->chunks, &s->asked.package, package_checked, s);
@@ -450,7 +504,7 @@ void http_post_jobs(struct request *r)
         request_error(r, e);
     buf_release(&missing);
     (void)request_of(s->later);
-    mem_free(s);
+    submission_free(s);
 }
 
 /* --- Changing ------------------------------------------------------------ */

@@ -35,7 +35,9 @@ enum err job_need_film(struct job *job)
     TL_ASSERT(!job->has_stored);
     TL_TRY(job_need_grid(job));
     TL_TRY(job_need_provenance(job));
-    return film_new(&job->grid, &job->blocks, &job->film);
+    TL_TRY(film_new(&job->grid, &job->blocks, &job->film));
+    job_plan_apply(job, job->film);
+    return ERR_OK;
 }
 
 enum err job_load_film(struct farm *f, struct job *job)
@@ -52,6 +54,7 @@ enum err job_load_film(struct farm *f, struct job *job)
         job->rec.totals = before;
         return e;
     }
+    job_plan_apply(job, job->film);
     /* The replay has added what lies behind the checkpoint. */
     struct job_totals *t = &job->rec.totals;
     job->provenance = at->provenance;
@@ -70,13 +73,13 @@ enum err job_load_film(struct farm *f, struct job *job)
     return ERR_OK;
 }
 
-static void film_hold(struct job *job)
+void job_film_hold(struct job *job)
 {
     film_read_begin(job->film);
     job->film_users++;
 }
 
-static void film_let_go(struct farm *f, struct job *job)
+void job_film_let_go(struct farm *f, struct job *job)
 {
     TL_ASSERT(job->film_users > 0);
     film_read_end(job->film);
@@ -99,7 +102,7 @@ static void checkpoint_done(void *ctx, enum err e)
     struct farm *f = ref->farm;
     struct job *job = farm_job(f, ref->job);
     TL_ASSERT(job && job->checkpointing); /* film_users kept it */
-    film_let_go(f, job);
+    job_film_let_go(f, job);
     job->checkpointing = false;
     if (e == ERR_OK) {
         job->journal_bytes -= ref->journal_bytes;
@@ -133,9 +136,9 @@ void job_checkpoint(struct farm *f, struct job *job)
         mem_free(ref);
         return;
     }
-    film_hold(job);
+    job_film_hold(job);
     if (store_put_checkpoint(f->store, &c, job->film, checkpoint_done, ref) != ERR_OK) {
-        film_let_go(f, job);
+        job_film_let_go(f, job);
         provenance_release(&c.provenance);
         mem_free(ref);
         return;
@@ -176,6 +179,7 @@ static void fetch_after(uv_work_t *request, int status)
         job->film = w->film;
         provenance_release(&job->provenance);
         job->provenance = w->at.provenance;
+        job_plan_apply(job, job->film);
     } else if (!f->stopping)
         jobs_fail(f, job, e == ERR_NOMEM ? "out of memory" : "its checkpoint cannot be read");
     f->admit_due = true;
@@ -227,7 +231,7 @@ static void estimate_run(uv_work_t *request)
     w->took_ns = uv_hrtime() - begin;
 }
 
-static void put_error(struct job_stats *s, const struct film_error *e)
+void job_error_put(struct job_stats *s, const struct film_error *e)
 {
     s->error_known = e->known;
     s->relmse = e->relmse;
@@ -235,6 +239,10 @@ static void put_error(struct job_stats *s, const struct film_error *e)
     s->relmse_high = e->relmse_high;
     s->mean_low = e->mean_low;
     s->mean_high = e->mean_high;
+    s->effective = e->effective;
+    s->worst_relmse = e->worst_relmse;
+    s->worst_x = e->worst_x;
+    s->worst_y = e->worst_y;
 }
 
 static void estimate_after(uv_work_t *request, int status)
@@ -243,9 +251,9 @@ static void estimate_after(uv_work_t *request, int status)
     struct job *job = farm_job(w->farm, w->job);
     TL_ASSERT(job && job->estimating);
     job->estimating = false;
-    film_let_go(w->farm, job);
+    job_film_let_go(w->farm, job);
     if (status == 0 && job->rec.state != JOB_STATE_DONE)
-        put_error(&job->rec.stats, &w->error);
+        job_error_put(&job->rec.stats, &w->error);
     job->estimated_ms = farm_now_ms(w->farm);
     job->estimate_took_ms = (int64_t)(w->took_ns / 1000000);
     if (!w->farm->stopping)
@@ -266,12 +274,12 @@ void job_estimate(struct farm *f, struct job *job)
         return;
     *w = (struct estimate){.farm = f, .job = job->rec.id, .film = job->film};
     w->request.data = w;
-    film_hold(job);
+    job_film_hold(job);
     job->estimating = true;
     job->estimated_count = film_present_count(job->film);
     if (uv_queue_work(f->loop, &w->request, estimate_run, estimate_after) != 0) {
         job->estimating = false;
-        film_let_go(f, job);
+        job_film_let_go(f, job);
         mem_free(w);
     }
 }
@@ -314,7 +322,8 @@ static void fill_stats(struct job *job, const struct finish *w)
     s->spp_min = w->spp_min;
     s->spp_mean = w->spp_mean;
     s->spp_max = w->spp_max;
-    put_error(s, &w->error);
+    s->stopped_by = (double)(job->plan ? job->plan->end : JOB_END_SPP);
+    job_error_put(s, &w->error);
     int64_t begin = job->rec.started_us, ready = job->ready_us ? job->ready_us : begin;
     int64_t last = job->last_result_us ? job->last_result_us : job->rec.finished_us;
     s->total_s = (double)(job->rec.finished_us - begin) / 1e6;
@@ -328,7 +337,7 @@ static void finish_after(uv_work_t *request, int status)
     struct farm *f = w->farm;
     struct job *job = farm_job(f, w->job);
     TL_ASSERT(job && job->finishing);
-    film_let_go(f, job);
+    job_film_let_go(f, job);
     job->finishing = false;
     enum err e = status == 0 ? w->result : ERR_CANCELLED;
     if (e == ERR_OK && !job_state_ended(job->rec.state)) {
@@ -365,10 +374,10 @@ static void start_finish(struct farm *f, struct job *job)
         .pixels = (uint64_t)job->spec.crop.width * job->spec.crop.height,
     };
     w->request.data = w;
-    film_hold(job);
+    job_film_hold(job);
     job->finishing = true;
     if (uv_queue_work(f->loop, &w->request, finish_run, finish_after) != 0) {
-        film_let_go(f, job);
+        job_film_let_go(f, job);
         job->finishing = false;
         mem_free(w);
         jobs_fail(f, job, "out of memory while making the picture");
@@ -379,6 +388,8 @@ void job_film_changed(struct farm *f, struct job *job)
 {
     if (!job->film || f->stopping)
         return;
+    if (job->plan && !job_state_ended(job->rec.state) && !job->finishing)
+        job_plan_step(f, job);
     bool ended = job_state_ended(job->rec.state);
     if (!ended && job->sched_done && job->in_store == 0 && film_complete(job->film) &&
         !job->finishing) {
@@ -410,6 +421,8 @@ void job_films_evict(struct farm *f)
         film_free(oldest->film);
         oldest->film = NULL;
         provenance_release(&oldest->provenance);
+        if (oldest->plan)
+            continue; /* its report tells the plan by the grid */
         grid_release(&oldest->grid);
         oldest->grid_ready = false;
     }
@@ -564,7 +577,7 @@ static void picture_after(uv_work_t *request, int status)
     struct job *job = farm_job(w->farm, w->job);
     TL_ASSERT(job);
     if (w->film)
-        film_let_go(w->farm, job);
+        job_film_let_go(w->farm, job);
     else
         job->film_users--;
     w->done(w->ctx, status == 0 ? w->result : ERR_CANCELLED, &w->file, w->clamped);
@@ -605,12 +618,12 @@ enum err job_picture(struct farm *f, struct job *job, enum picture_format format
     }
     w->film = job->film;
     if (w->film)
-        film_hold(job);
+        job_film_hold(job);
     else
         job->film_users++;
     if (uv_queue_work(f->loop, &w->request, picture_run, picture_after) != 0) {
         if (w->film)
-            film_let_go(f, job);
+            job_film_let_go(f, job);
         else
             job->film_users--;
         mem_free(w->path);

@@ -30,6 +30,7 @@ void job_numbers_put(struct buf *b, const struct job_totals *totals, const struc
 #undef PUT
 #define PUT(name) buf_put_f64(b, stats->name);
     JOB_STATS_F64(PUT)
+    JOB_STATS_ADDED(PUT)
 #undef PUT
 }
 
@@ -54,6 +55,11 @@ enum err job_numbers_get(const void *data, size_t bytes, struct job_totals *tota
 #undef GET
 #define GET(name) s.name = buf_get_f64(&r);
     JOB_STATS_F64(GET)
+#undef GET
+    if (r.failed)
+        return ERR_CORRUPT;
+#define GET(name) s.name = buf_left(&r) > 0 ? buf_get_f64(&r) : 0;
+    JOB_STATS_ADDED(GET)
 #undef GET
     if (r.failed)
         return ERR_CORRUPT;

@@ -59,6 +59,14 @@ struct job_totals {
     X(mean_low)                                                                                    \
     X(mean_high)
 
+/* Added later: a record of before has none of them. */
+#define JOB_STATS_ADDED(X)                                                                         \
+    X(effective)                                                                                   \
+    X(worst_relmse)                                                                                \
+    X(worst_x)                                                                                     \
+    X(worst_y)                                                                                     \
+    X(stopped_by)
+
 /* Everything else that the report tells. */
 struct job_stats {
 #define JOB_STATS_FIELD(name) uint64_t name;
@@ -66,6 +74,7 @@ struct job_stats {
 #undef JOB_STATS_FIELD
 #define JOB_STATS_FIELD(name) double name;
     JOB_STATS_F64(JOB_STATS_FIELD)
+    JOB_STATS_ADDED(JOB_STATS_FIELD)
 #undef JOB_STATS_FIELD
 };
 

@@ -90,9 +90,20 @@ double jobs_done_share(const struct farm *f, const struct job *job)
     struct sched_job_info info;
     if (job->rec.state == JOB_STATE_DONE)
         return 1;
+    if (job->plan && !job_state_ended(job->rec.state))
+        return job_plan_share(job);
     if (job->in_sched && sched_job_info(f->sched, job->rec.id, &info))
         return info.done;
     return job->done_share;
+}
+
+void jobs_left(const struct job *job, struct sched_job_info *info)
+{
+    double seconds;
+    if (!job_plan_left(job, &seconds))
+        return;
+    info->left_known = true;
+    info->left_low_s = info->left_high_s = seconds;
 }
 
 /* Jobs ahead of this one in the queue. */
@@ -142,6 +153,7 @@ static void put_news(struct farm *f, struct job *job)
 {
     struct sched_job_info info = {0};
     bool known = job->in_sched && sched_job_info(f->sched, job->rec.id, &info);
+    jobs_left(job, &info);
     struct buf b;
     buf_init(&b);
     buf_printf(&b, "{\"id\":\"j%" PRIu64 "\",\"rev\":%" PRIu64 ",\"state\":\"%s\",\"done\":",
@@ -253,6 +265,7 @@ static void job_free(struct job *job)
         return;
     mem_free(job->rec.spec_json);
     film_free(job->film);
+    job_plan_free(job->plan);
     if (job->grid_ready)
         grid_release(&job->grid);
     mem_free(job->sched_memory);
@@ -299,10 +312,14 @@ enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *do
                                    .totals.nonfinite_pixel = UINT64_MAX};
     (void)snprintf(job->rec.name, sizeof job->rec.name, "%s", r->name);
     job->spec = *r->spec;
-    job->blocks = job_blocks_of(r->spec->spp);
+    job->blocks = job_spec_blocks(r->spec);
     enum err e = job->rec.spec_json ? ERR_OK : ERR_NOMEM;
     if (e == ERR_OK && strlen(job->rec.spec_json) > SPEC_BYTES_MAX)
         e = ERR_LIMIT;
+    if (e == ERR_OK)
+        e = job_plan_new(job, r->plan);
+    if (e == ERR_OK && job->plan && job->plan->begun)
+        e = job_plan_store(f, job);
     if (e == ERR_OK)
         e = add_job(f, job);
     if (e != ERR_OK) {
@@ -372,10 +389,28 @@ static uint32_t cells_per_result(const struct job_spec *spec)
     return values < LIMIT_UNIT_VALUES ? (uint32_t)(LIMIT_UNIT_VALUES / values) : 1;
 }
 
+/* What the scheduler is told of a job whose cells get different numbers of blocks. */
+static void add_plan(const struct job *job, uint64_t weights[JOB_BLOCKS_MAX],
+                     struct sched_job_add *add)
+{
+    enum { UNIT_MS = 150 /* under a time limit: what is begun ends soon */ };
+    if (!job->plan)
+        return;
+    for (uint32_t b = 0; b < job->blocks.count; b++)
+        weights[b] = job_block_at(&job->blocks, b).count;
+    add->limits = film_limits(job->film);
+    add->open = !job->plan->sealed;
+    add->block_weights = weights;
+    add->unit_ms = job->spec.stop == JOB_STOP_TIME ? UNIT_MS : 0;
+    add->cell_cost = (double)job->spec.crop.width * job->spec.crop.height / job->grid.cell_count;
+}
+
 static enum err admit(struct farm *f, struct job *job)
 {
     struct done_list done = {0};
-    enum err e = make_tables(job);
+    enum err e = job->plan ? job_need_film(job) : ERR_OK;
+    if (e == ERR_OK)
+        e = make_tables(job);
     if (e == ERR_OK && job->film)
         film_each_present(job->film, note_done, &done);
     size_t check_count = 0;
@@ -402,6 +437,8 @@ static enum err admit(struct farm *f, struct job *job)
                     .blame_count = job->blame_count,
                     .checks = checks,
                     .check_count = check_count}};
+        uint64_t weights[JOB_BLOCKS_MAX];
+        add_plan(job, weights, &event.add);
         job->in_sched = true;
         job->sched_done = false;
         f->sched_jobs++;
@@ -425,7 +462,8 @@ void jobs_admit(struct farm *f)
             continue;
         if (verify_reset_liars(f, job))
             continue; /* goes on when that is stored */
-        if (job->film && film_complete(job->film) && job->provenance.check_count == 0) {
+        if (job->film && film_complete(job->film) && job->provenance.check_count == 0 &&
+            (!job->plan || job->plan->sealed)) {
             job->sched_done = true;
             job_film_changed(f, job);
             continue;
@@ -433,6 +471,8 @@ void jobs_admit(struct farm *f)
         enum err e = admit(f, job);
         if (e != ERR_OK)
             jobs_fail(f, job, err_text(e));
+        else if (job->plan && film_complete(job->film))
+            job_film_changed(f, job); /* the pilot or a stage was over when the master ended */
     }
 }
 
@@ -617,7 +657,7 @@ static enum err load_job(void *ctx, struct job_record *record)
         job_free(job);
         return e == ERR_NOMEM ? e : ERR_OK;
     }
-    job->blocks = job_blocks_of(job->spec.spp);
+    job->blocks = job_spec_blocks(&job->spec);
     e = add_job(f, job);
     if (e != ERR_OK) {
         job_free(job);
@@ -645,6 +685,7 @@ static enum err load_key(void *ctx, const char *key, const digest *body, uint64_
 /* What an earlier life left of one job's film. */
 static enum err load_film(struct farm *f, struct job *job)
 {
+    TL_TRY(job_plan_load(f, job));
     bool journal = store_has_journal(f->store, job->rec.id);
     job->has_stored = journal || store_has_checkpoint(f->store, job->rec.id);
     bool ended = job_state_ended(job->rec.state);

@@ -267,10 +267,14 @@ struct storing {
 static void add_totals(struct job *job, const struct journal_result *r)
 {
     struct job_totals *t = &job->rec.totals;
+    bool pictured = !job->plan || !job->plan->begun || job->plan->pilot == FILM_PILOT_KEPT ||
+                    r->unit.block >= job->blocks.pilot;
     t->units++;
     t->samples += r->samples;
     t->rays += r->rays;
     t->render_us += r->render_us;
+    if (!pictured)
+        return;
     if (r->nonfinite > 0 && t->nonfinite_pixel == UINT64_MAX) {
         t->nonfinite_pixel = r->nonfinite_pixel;
         t->nonfinite_sample = r->nonfinite_sample;
@@ -325,6 +329,7 @@ static void on_stored(void *ctx, enum err e)
     if (f->stopping)
         return;
     jobs_changed(f, job, false);
+    job_plan_more(f, job);
     job_film_changed(f, job);
     f->admit_due |= !job->in_sched;
 }
@@ -445,6 +450,8 @@ enum err results_replay(void *ctx, struct film *film, const struct journal_resul
     struct job *job = loading->job;
     if (!grid_has_unit(&job->grid, &job->blocks, r->unit))
         return ERR_CORRUPT;
+    if (job->plan && job->plan->begun && !film_planned(film))
+        job_plan_apply(job, film); /* the checkpoint is of before the plan, the result may not be */
     uint64_t pixels = grid_pixels(&job->grid, r->unit.cell_begin, r->unit.cell_count);
     uint32_t planes = job->grid.plane_count;
     float *values = mem_alloc_array((size_t)pixels, planes * sizeof(float));

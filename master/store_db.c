@@ -47,6 +47,7 @@ static const char schema[] =
     X(DELETE_JOB, "DELETE FROM job WHERE id=?1")                                                   \
     X(PUT_FRAME, "INSERT OR REPLACE INTO frame VALUES(?1,?2,?3)")                                  \
     X(DELETE_FRAME, "DELETE FROM frame WHERE job=?1")                                              \
+    X(DELETE_PLAN, "DELETE FROM value WHERE key='plan.'||?1")                                      \
     X(DELETE_EVENTS, "DELETE FROM event WHERE job=?1")                                             \
     X(PUT_EVENT, "INSERT INTO event(job,at_us,text) VALUES(?1,?2,?3)")                             \
     X(TRIM_EVENTS, "DELETE FROM event WHERE job=?1 AND id<=(SELECT id FROM event WHERE job=?1 "    \
@@ -340,6 +341,8 @@ enum err store_db_delete_job(struct store_db *db, uint64_t job)
     bind_u64(db, STATEMENT_DELETE_FRAME, 1, job);
     TL_TRY(step(db, STATEMENT_DELETE_FRAME));
     TL_TRY(store_db_forget_blame(db, job));
+    bind_u64(db, STATEMENT_DELETE_PLAN, 1, job);
+    TL_TRY(step(db, STATEMENT_DELETE_PLAN));
     bind_u64(db, STATEMENT_DELETE_JOB, 1, job);
     return step(db, STATEMENT_DELETE_JOB);
 }

@@ -232,7 +232,7 @@ static enum err new_job(struct job_table *t, const tilery_JobInfo *info, struct 
         mem_free(job);
         return e;
     }
-    job->blocks = job_blocks_of(job->spec.spp);
+    job->blocks = job_spec_blocks(&job->spec);
     TAILQ_INSERT_TAIL(&t->jobs, job, in_jobs);
     t->count++;
     *out = job;

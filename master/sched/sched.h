@@ -16,6 +16,7 @@
  *                              |                               unit failed, drained       |
  *                              +-- cells reset (a liar touched them, or storing failed) --+
  *
+ * A cell has the blocks below its *limit*: the job's block_count, or less where a plan says so.
  * A cell's *frontier* is its first block that is not done. Blocks [frontier, frontier +
  * SCHED_WINDOW) of a cell are open, those above are shut: so at most SCHED_WINDOW - 1 results
  * a cell ever wait to be added to the film.
@@ -28,8 +29,9 @@
  *                  any --> QUARANTINED                       lied; for good
  *
  * Invariants (sched_check):
- *   1. Every spot of a job is in exactly one state, and shut + waiting + leased + done == cells x
- *      blocks; the counters of the job agree with the tables.
+ *   1. Every spot of a job is in exactly one state, and shut + waiting + leased + done == the sum
+ *      of the cells' limits; the counters of the job agree with the tables. Beyond its limit a
+ *      cell has no spots.
  *   2. A leased spot is owned by exactly one lease (or one held-back suspect unit) that covers it,
  *      and that lease's count of open cells is the number of spots it owns.
  *   3. No lease reaches beyond a cell's window: block < frontier + SCHED_WINDOW.
@@ -99,7 +101,7 @@ TL_NODISCARD enum err sched_new(struct arena *arena, const struct sched_limits *
 uint64_t sched_epoch_next(const struct sched *s);
 
 /* Bytes of the memory block that comes with a job; 0 when cells or blocks are out of range
- * (1..GRID_CELLS_MAX, 1..JOB_BLOCKS_MAX). About 26 bytes a cell plus one bit per spot. */
+ * (1..GRID_CELLS_MAX, 1..JOB_BLOCKS_MAX). About 28 bytes a cell plus one bit per spot. */
 size_t sched_job_bytes(uint32_t cell_count, uint32_t block_count);
 
 /* --- Events: what the caller tells --------------------------------------- */
@@ -116,6 +118,7 @@ enum sched_event_type {
     SCHED_JOB_CANCEL,   /* leases are revoked */
     SCHED_JOB_RETRY,    /* a failed or cancelled job goes on where it was; blame is forgotten */
     SCHED_JOB_PRIORITY, /* .priority */
+    SCHED_JOB_LIMITS,   /* .limits: other numbers of blocks for the cells of an open job */
     SCHED_JOB_REMOVE,   /* forget the job; its memory is the caller's again once sched_next was
                            drained */
     /* .unit: these cells start again from .unit.block on: a liar touched them (block 0), or what
@@ -161,9 +164,23 @@ struct sched_open_check {
     uint64_t digest; /* of them: as in sched_result */
 };
 
+/* How many blocks each cell gets. A cell keeps what is done or leased: for it the limit is no lower
+ * than that. */
+struct sched_job_limits {
+    const uint16_t *limits; /* cell_count of 1..block_count; lent for the call; NULL: as they are */
+    bool cut;               /* leases that are not begun are taken back before */
+    bool final;             /* these are the last limits: the job is done when they are reached */
+};
+
 struct sched_job_add {
     uint32_t cell_count, block_count;
-    double cell_cost;        /* pixels x samples of an average spot, > 0 */
+    /* Where cells get different numbers of blocks: how many. NULL: all. Lent for the call. */
+    const uint16_t *limits;
+    bool open; /* limits may change yet: the job is not done before a LIMITS says `final` */
+    /* Cost of each block beside the others, >= 1. NULL: all the same. Lent for the call. */
+    const uint64_t *block_weights;
+    uint32_t unit_ms;        /* longest aimed duration of its units; 0: as limits.unit_ms says */
+    double cell_cost;        /* pixels x samples of an average spot for each of its weight, > 0 */
     uint32_t unit_cells_max; /* what one result frame can carry; 0: no cap */
     double verify_share;     /* of units rendered twice by different workers, 0..1 */
     int32_t priority;        /* higher first */
@@ -210,6 +227,7 @@ struct sched_event {
     union {
         struct sched_job_add add;
         struct unit unit;
+        struct sched_job_limits limits;
         struct sched_result result;
         struct sched_mismatch mismatch;
         struct sched_past past;
@@ -331,7 +349,7 @@ struct sched_job_info {
     enum sched_job_state state;
     enum sched_wait wait;
     int32_t priority;
-    uint64_t spots, spots_done, spots_leased; /* cells x blocks */
+    uint64_t spots, spots_done, spots_leased; /* cells x blocks, as the limits are now */
     uint32_t leases;                          /* out now */
     uint32_t workers;                         /* that hold one */
     uint64_t units;                           /* results accepted, wholly or in part */
@@ -388,6 +406,16 @@ bool sched_spot_done(const struct sched *s, uint64_t job, uint32_t cell, uint32_
 
 /* The first block of a cell that is not accepted. 0 for an unknown job. */
 uint32_t sched_frontier(const struct sched *s, uint64_t job, uint32_t cell);
+
+/* Spots that could be leased now; 0 for an unknown job. Cheap. */
+uint64_t sched_waiting(const struct sched *s, uint64_t job);
+
+/* The limits of a job's cells as they are; false for an unknown job. */
+bool sched_limits_get(const struct sched *s, uint64_t job, uint16_t *limits);
+
+/* Thread-seconds of what is not done, as far as known; a cell's mean ones for each of the weight.
+ */
+double sched_left_seconds(const struct sched *s, uint64_t job);
 
 const char *sched_why_text(enum sched_why why); /* for people */
 const char *

@@ -39,7 +39,7 @@ uint32_t unit_expected_ms(const struct sched *s, struct worker *w, const struct 
 {
     double sum_s = 0.0;
     for (uint32_t i = 0; i < unit.cell_count; i++)
-        sum_s += job_cell_seconds(j, unit.cell_begin + i);
+        sum_s += job_cell_seconds(j, unit.cell_begin + i, unit.block);
     double ms = 1e3 * sum_s / worker_speed_ratio(s, w, j);
     if (sum_s <= 0.0)
         return 0;
@@ -68,12 +68,13 @@ static bool unit_carve(const struct sched *s, struct worker *w, const struct wor
 {
     if (job_waiting_run(j, cells_allowed(s, j), out) == 0)
         return false;
-    double target_s = 1e-3 * wj->target_ms * worker_speed_ratio(s, w, j);
-    double guess_s = j->cell_cost / SPEED_GUESS;
+    uint32_t target_ms = wj->target_ms < j->unit_ms ? wj->target_ms : j->unit_ms;
+    double target_s = 1e-3 * target_ms * worker_speed_ratio(s, w, j);
+    double guess_s = j->cell_cost * (double)job_weight(j, out->block) / SPEED_GUESS;
     double sum_s = 0.0;
     uint32_t count = 0;
     while (count < out->cell_count) {
-        double cell_s = job_cell_seconds(j, out->cell_begin + count);
+        double cell_s = job_cell_seconds(j, out->cell_begin + count, out->block);
         sum_s += cell_s > 0.0 ? cell_s : guess_s;
         if (count > 0 && sum_s > target_s)
             break;

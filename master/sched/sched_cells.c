@@ -21,7 +21,7 @@ size_t sched_job_bytes(uint32_t cell_count, uint32_t block_count)
     struct cellset_shape shape = cellset_shape_of(cell_count);
     return align64((size_t)cell_count * SCHED_WINDOW * sizeof(uint32_t)) +
            align64((size_t)cell_count * sizeof(float)) +
-           align64((size_t)cell_count * sizeof(uint16_t)) +
+           2 * align64((size_t)cell_count * sizeof(uint16_t)) +
            align64((size_t)block_count * shape.word_count * sizeof(uint64_t)) +
            align64((size_t)block_count * sizeof(uint32_t));
 }
@@ -31,57 +31,6 @@ static void *carve(uint8_t **at, size_t bytes)
     void *p = *at;
     *at += align64(bytes);
     return p;
-}
-
-void job_cells_init(struct job *j, const struct sched_job_add *add)
-{
-    TL_ASSERT(add->memory && ((uintptr_t)add->memory & 63) == 0);
-    j->cell_count = add->cell_count;
-    j->block_count = add->block_count;
-    j->shape = cellset_shape_of(add->cell_count);
-    memset(add->memory, 0, sched_job_bytes(add->cell_count, add->block_count));
-    uint8_t *at = add->memory;
-    size_t cells = add->cell_count, blocks = add->block_count;
-    j->owner = carve(&at, cells * SCHED_WINDOW * sizeof *j->owner);
-    j->cost_s = carve(&at, cells * sizeof *j->cost_s);
-    j->frontier = carve(&at, cells * sizeof *j->frontier);
-    j->waiting = carve(&at, blocks * j->shape.word_count * sizeof *j->waiting);
-    j->waiting_count = carve(&at, blocks * sizeof *j->waiting_count);
-
-    /* The first blocks of every cell wait, the others are shut. */
-    uint32_t open = add->block_count < SCHED_WINDOW ? add->block_count : SCHED_WINDOW;
-    for (size_t i = 0; i < cells * SCHED_WINDOW; i++)
-        j->owner[i] = i % SCHED_WINDOW < open ? OWNER_NONE : OWNER_DONE;
-    for (uint32_t b = 0; b < open; b++) {
-        cellset_fill(&j->shape, j->waiting + (size_t)b * j->shape.word_count);
-        j->waiting_count[b] = add->cell_count;
-        j->waiting_blocks[0] |= UINT64_C(1) << b;
-    }
-    j->spots = (struct spot_counts){.waiting = (uint64_t)open * cells};
-}
-
-uint64_t job_spot_count(const struct job *j)
-{
-    return (uint64_t)j->cell_count * j->block_count;
-}
-
-uint32_t *job_spot_owner(const struct job *j, uint32_t cell, uint32_t block)
-{
-    TL_DASSERT(cell < j->cell_count && block < j->block_count);
-    return &j->owner[(size_t)cell * SCHED_WINDOW + block % SCHED_WINDOW];
-}
-
-enum spot_state job_spot_state(const struct job *j, uint32_t cell, uint32_t block)
-{
-    uint32_t frontier = j->frontier[cell];
-    if (block < frontier)
-        return SPOT_DONE;
-    if (block >= frontier + SCHED_WINDOW)
-        return SPOT_SHUT;
-    uint32_t owner = *job_spot_owner(j, cell, block);
-    if (owner == OWNER_NONE)
-        return SPOT_WAITING;
-    return owner == OWNER_DONE ? SPOT_DONE : SPOT_LEASED;
 }
 
 static uint64_t *waiting_set(const struct job *j, uint32_t block)
@@ -103,6 +52,83 @@ static void waiting_remove(struct job *j, uint32_t cell, uint32_t block)
     if (--j->waiting_count[block] == 0)
         j->waiting_blocks[block / 64] &= ~(UINT64_C(1) << (block % 64));
     j->spots.waiting--;
+}
+
+static void weights_init(struct job *j, const uint64_t *weights)
+{
+    j->weight_below[0] = 0;
+    for (uint32_t b = 0; b < j->block_count; b++)
+        j->weight_below[b + 1] = j->weight_below[b] + (weights ? weights[b] : 1);
+}
+
+/* The first blocks of every cell wait, the others are shut. */
+static void spots_init(struct job *j, const uint16_t *limits)
+{
+    for (uint32_t cell = 0; cell < j->cell_count; cell++) {
+        uint32_t limit = limits ? limits[cell] : j->block_count;
+        j->limit[cell] = (uint16_t)limit;
+        j->spot_count += limit;
+        j->weight_count += j->weight_below[limit];
+        for (uint32_t b = 0; b < SCHED_WINDOW; b++)
+            j->owner[(size_t)cell * SCHED_WINDOW + b] = b < limit ? OWNER_NONE : OWNER_DONE;
+        for (uint32_t b = 0; limits && b < SCHED_WINDOW && b < limit; b++)
+            waiting_add(j, cell, b);
+    }
+    uint32_t open = j->block_count < SCHED_WINDOW ? j->block_count : SCHED_WINDOW;
+    for (uint32_t b = 0; !limits && b < open; b++) {
+        cellset_fill(&j->shape, waiting_set(j, b));
+        j->waiting_count[b] = j->cell_count;
+        j->waiting_blocks[0] |= UINT64_C(1) << b;
+        j->spots.waiting += j->cell_count;
+    }
+}
+
+void job_cells_init(struct job *j, const struct sched_job_add *add)
+{
+    TL_ASSERT(add->memory && ((uintptr_t)add->memory & 63) == 0);
+    j->cell_count = add->cell_count;
+    j->block_count = add->block_count;
+    j->shape = cellset_shape_of(add->cell_count);
+    memset(add->memory, 0, sched_job_bytes(add->cell_count, add->block_count));
+    uint8_t *at = add->memory;
+    size_t cells = add->cell_count, blocks = add->block_count;
+    j->owner = carve(&at, cells * SCHED_WINDOW * sizeof *j->owner);
+    j->cost_s = carve(&at, cells * sizeof *j->cost_s);
+    j->frontier = carve(&at, cells * sizeof *j->frontier);
+    j->limit = carve(&at, cells * sizeof *j->limit);
+    j->waiting = carve(&at, blocks * j->shape.word_count * sizeof *j->waiting);
+    j->waiting_count = carve(&at, blocks * sizeof *j->waiting_count);
+    weights_init(j, add->block_weights);
+    spots_init(j, add->limits);
+}
+
+uint64_t job_spot_count(const struct job *j)
+{
+    return j->spot_count;
+}
+
+uint64_t job_weight(const struct job *j, uint32_t block)
+{
+    return j->weight_below[block + 1] - j->weight_below[block];
+}
+
+uint32_t *job_spot_owner(const struct job *j, uint32_t cell, uint32_t block)
+{
+    TL_DASSERT(cell < j->cell_count && block < j->block_count);
+    return &j->owner[(size_t)cell * SCHED_WINDOW + block % SCHED_WINDOW];
+}
+
+enum spot_state job_spot_state(const struct job *j, uint32_t cell, uint32_t block)
+{
+    uint32_t frontier = j->frontier[cell];
+    if (block < frontier)
+        return SPOT_DONE;
+    if (block >= frontier + SCHED_WINDOW || block >= j->limit[cell])
+        return SPOT_SHUT;
+    uint32_t owner = *job_spot_owner(j, cell, block);
+    if (owner == OWNER_NONE)
+        return SPOT_WAITING;
+    return owner == OWNER_DONE ? SPOT_DONE : SPOT_LEASED;
 }
 
 uint32_t job_waiting_run(const struct job *j, uint32_t cells_max, struct unit *out)
@@ -140,21 +166,30 @@ void job_spot_give_back(struct job *j, uint32_t cell, uint32_t block)
 
 /* --- What is left, by measured cost -------------------------------------- */
 
-static uint32_t window_end(const struct job *j, uint32_t frontier)
+static uint32_t window_end(const struct job *j, uint32_t cell, uint32_t frontier)
 {
     uint32_t end = frontier + SCHED_WINDOW;
-    return end < j->block_count ? end : j->block_count;
+    return end < j->limit[cell] ? end : j->limit[cell];
 }
 
 /* Bit i: block frontier + i is done. */
 static uint32_t done_ahead(const struct job *j, uint32_t cell)
 {
     uint32_t frontier = j->frontier[cell], mask = 0;
-    for (uint32_t b = frontier; b < window_end(j, frontier); b++) {
+    for (uint32_t b = frontier; b < window_end(j, cell, frontier); b++) {
         if (*job_spot_owner(j, cell, b) == OWNER_DONE)
             mask |= UINT32_C(1) << (b - frontier);
     }
     return mask;
+}
+
+/* Weight of the blocks of a cell that are done, given those of its window. */
+static uint64_t done_weight(const struct job *j, uint32_t frontier, uint32_t mask)
+{
+    uint64_t weight = j->weight_below[frontier];
+    for (; mask; mask &= mask - 1)
+        weight += job_weight(j, frontier + (uint32_t)__builtin_ctz(mask));
+    return weight;
 }
 
 /* Adds (sign 1) or takes off (sign -1) a measured cell's share of what is left. */
@@ -163,49 +198,48 @@ void job_known_update(struct job *j, uint32_t cell, int sign)
     double cost_s = (double)j->cost_s[cell];
     if (cost_s <= 0.0)
         return;
-    uint32_t left =
-        j->block_count - j->frontier[cell] - (uint32_t)__builtin_popcount(done_ahead(j, cell));
+    uint64_t left =
+        j->weight_below[j->limit[cell]] - done_weight(j, j->frontier[cell], done_ahead(j, cell));
     if (sign > 0) {
-        j->known_spots += left;
-        j->known_s += left * cost_s;
+        j->known_weight += left;
+        j->known_s += (double)left * cost_s;
         return;
     }
-    TL_ASSERT(j->known_spots >= left);
-    j->known_spots -= left;
-    j->known_s -= left * cost_s;
+    TL_ASSERT(j->known_weight >= left);
+    j->known_weight -= left;
+    j->known_s -= (double)left * cost_s;
     /* Sums of floats drift: forget the rest where there is none. */
-    if (j->known_spots == 0 || j->known_s < 0.0)
+    if (j->known_weight == 0 || j->known_s < 0.0)
         j->known_s = 0.0;
 }
 
-static double spot_mean_s(const struct job *j)
+static double weight_mean_s(const struct job *j)
 {
-    return j->measured_spots ? j->committed_s / (double)j->measured_spots : 0.0;
+    return j->measured_weight ? j->committed_s / (double)j->measured_weight : 0.0;
 }
 
-double job_cell_seconds(const struct job *j, uint32_t cell)
+double job_cell_seconds(const struct job *j, uint32_t cell, uint32_t block)
 {
     double cost_s = (double)j->cost_s[cell];
-    return cost_s > 0.0 ? cost_s : spot_mean_s(j);
+    return (cost_s > 0.0 ? cost_s : weight_mean_s(j)) * (double)job_weight(j, block);
 }
 
 double job_left_seconds(const struct job *j, double *unknown_s)
 {
-    uint64_t unknown = job_spot_count(j) - j->spots.done - j->known_spots;
-    *unknown_s = (double)unknown * spot_mean_s(j);
+    uint64_t unknown = j->weight_count - j->weight_done - j->known_weight;
+    *unknown_s = (double)unknown * weight_mean_s(j);
     return j->known_s + *unknown_s;
 }
 
 double job_done_share(const struct job *j)
 {
-    uint64_t total = job_spot_count(j);
-    if (j->spots.done == total)
+    if (j->weight_done == j->weight_count)
         return 1.0;
-    double mean_s = spot_mean_s(j);
+    double mean_s = weight_mean_s(j);
     if (mean_s <= 0.0)
-        return (double)j->spots.done / (double)total;
+        return (double)j->weight_done / (double)j->weight_count;
     /* Spots restored from an earlier life have no measure and count as average. */
-    double restored = (double)j->spots.done - (double)j->measured_spots;
+    double restored = (double)j->weight_done - (double)j->measured_weight;
     double done_s = j->committed_s + (restored > 0.0 ? restored * mean_s : 0.0);
     double unknown_s, left_s = job_left_seconds(j, &unknown_s);
     return done_s / (done_s + left_s);
@@ -218,12 +252,13 @@ void job_progress_update(struct job *j)
         j->done_shown = share;
 }
 
-static void measure(struct job *j, uint32_t cell, double cost_s)
+static void measure(struct job *j, uint32_t cell, uint32_t block, double cost_s)
 {
-    double old_s = (double)j->cost_s[cell];
-    j->cost_s[cell] = (float)(old_s > 0.0 ? 0.5 * (old_s + cost_s) : cost_s);
+    uint64_t weight = job_weight(j, block);
+    double old_s = (double)j->cost_s[cell], new_s = cost_s / (double)weight;
+    j->cost_s[cell] = (float)(old_s > 0.0 ? 0.5 * (old_s + new_s) : new_s);
     j->committed_s += cost_s;
-    j->measured_spots++;
+    j->measured_weight += weight;
 }
 
 /* --- Done and undone ------------------------------------------------------ */
@@ -246,18 +281,19 @@ void job_spot_finish(struct sched *s, struct job *j, uint32_t cell, uint32_t blo
     }
     *owner = OWNER_DONE;
     j->spots.done++;
+    j->weight_done += job_weight(j, block);
 
     /* Each block that closes at the frontier opens one at the far end of the window. */
-    while (j->frontier[cell] < j->block_count &&
+    while (j->frontier[cell] < j->limit[cell] &&
            *job_spot_owner(j, cell, j->frontier[cell]) == OWNER_DONE) {
         uint32_t opened = (uint32_t)j->frontier[cell]++ + SCHED_WINDOW;
-        if (opened < j->block_count) {
+        if (opened < j->limit[cell]) {
             *job_spot_owner(j, cell, opened) = OWNER_NONE;
             waiting_add(j, cell, opened);
         }
     }
     if (cost_s > 0.0)
-        measure(j, cell, cost_s);
+        measure(j, cell, block, cost_s);
     job_known_update(j, cell, 1);
 }
 
@@ -266,7 +302,7 @@ static uint32_t cell_close(struct sched *s, struct job *j, uint32_t cell)
 {
     uint32_t frontier = j->frontier[cell], mask = done_ahead(j, cell);
     job_known_update(j, cell, -1);
-    for (uint32_t b = frontier; b < window_end(j, frontier); b++) {
+    for (uint32_t b = frontier; b < window_end(j, cell, frontier); b++) {
         uint32_t *owner = job_spot_owner(j, cell, b);
         if (*owner == OWNER_NONE) {
             waiting_remove(j, cell, b);
@@ -277,6 +313,7 @@ static uint32_t cell_close(struct sched *s, struct job *j, uint32_t cell)
         *owner = OWNER_DONE;
     }
     j->spots.done -= frontier + (uint32_t)__builtin_popcount(mask);
+    j->weight_done -= done_weight(j, frontier, mask);
     return mask;
 }
 
@@ -287,13 +324,14 @@ static void cell_open(struct job *j, uint32_t cell, uint32_t frontier, uint32_t 
         frontier++;
     }
     j->frontier[cell] = (uint16_t)frontier;
-    for (uint32_t b = frontier; b < window_end(j, frontier); b++) {
+    for (uint32_t b = frontier; b < window_end(j, cell, frontier); b++) {
         bool done = mask >> (b - frontier) & 1;
         *job_spot_owner(j, cell, b) = done ? OWNER_DONE : OWNER_NONE;
         if (!done)
             waiting_add(j, cell, b);
     }
     j->spots.done += frontier + (uint32_t)__builtin_popcount(mask);
+    j->weight_done += done_weight(j, frontier, mask);
     job_known_update(j, cell, 1);
 }
 
@@ -303,16 +341,16 @@ void job_cells_restore(struct sched *s, struct job *j, const struct sched_done *
         const struct sched_done *d = &done[i];
         for (uint32_t cell = d->cell_begin; cell < d->cell_begin + d->cell_count; cell++) {
             uint32_t frontier = j->frontier[cell];
-            if (d->block_begin >= d->block_end || d->block_end <= frontier)
+            uint32_t block_end = d->block_end < j->limit[cell] ? d->block_end : j->limit[cell];
+            if (d->block_begin >= block_end || block_end <= frontier)
                 continue;
             uint32_t mask = cell_close(s, j, cell);
             if (d->block_begin <= frontier) {
-                uint32_t ahead = d->block_end - frontier;
-                frontier = d->block_end;
+                uint32_t ahead = block_end - frontier;
+                frontier = block_end;
                 mask = ahead < 32 ? mask >> ahead : 0;
             } else {
-                for (uint32_t b = d->block_begin; b < d->block_end && b < frontier + SCHED_WINDOW;
-                     b++)
+                for (uint32_t b = d->block_begin; b < block_end && b < frontier + SCHED_WINDOW; b++)
                     mask |= UINT32_C(1) << (b - frontier);
             }
             cell_open(j, cell, frontier, mask);
@@ -320,30 +358,66 @@ void job_cells_restore(struct sched *s, struct job *j, const struct sched_done *
     }
 }
 
+/* The limit that a cell can have: what is done or leased stays below it. */
+static uint32_t limit_possible(const struct job *j, uint32_t cell, uint32_t wanted)
+{
+    uint32_t lowest = j->frontier[cell];
+    for (uint32_t b = lowest; b < window_end(j, cell, j->frontier[cell]); b++)
+        if (*job_spot_owner(j, cell, b) != OWNER_NONE)
+            lowest = b + 1;
+    return wanted > lowest ? wanted : lowest;
+}
+
+void job_cells_limit(struct job *j, const uint16_t *limits)
+{
+    for (uint32_t cell = 0; cell < j->cell_count; cell++) {
+        uint32_t frontier = j->frontier[cell], before = j->limit[cell];
+        uint32_t open_before = window_end(j, cell, frontier);
+        uint32_t limit = limit_possible(j, cell, limits[cell]);
+        job_known_update(j, cell, -1);
+        j->limit[cell] = (uint16_t)limit;
+        uint32_t open_now = window_end(j, cell, frontier);
+        for (uint32_t b = open_now; b < open_before; b++) {
+            waiting_remove(j, cell, b);
+            *job_spot_owner(j, cell, b) = OWNER_DONE;
+        }
+        for (uint32_t b = open_before; b < open_now; b++) {
+            *job_spot_owner(j, cell, b) = OWNER_NONE;
+            waiting_add(j, cell, b);
+        }
+        j->spot_count += limit;
+        j->spot_count -= before;
+        j->weight_count += j->weight_below[limit];
+        j->weight_count -= j->weight_below[before];
+        job_known_update(j, cell, 1);
+    }
+}
+
+/* The cost of what was forgotten was spent, but is not part of the picture any more. */
+static void forget_cost(struct job *j, uint32_t cell, uint64_t weight)
+{
+    double cost_s = (double)j->cost_s[cell];
+    if (cost_s <= 0.0)
+        return;
+    uint64_t measured = weight < j->measured_weight ? weight : j->measured_weight;
+    double spent_s = (double)measured * cost_s;
+    j->measured_weight -= measured;
+    j->committed_s -= spent_s < j->committed_s ? spent_s : j->committed_s;
+}
+
 void job_cells_reset(struct sched *s, struct job *j, struct unit unit)
 {
     for (uint32_t cell = unit.cell_begin; cell < unit.cell_begin + unit.cell_count; cell++) {
         uint32_t frontier = j->frontier[cell];
         uint32_t mask = cell_close(s, j, cell);
-        uint32_t forgotten = (uint32_t)__builtin_popcount(mask);
+        uint64_t before = done_weight(j, frontier, mask);
         if (unit.block < frontier) {
-            forgotten += frontier - unit.block;
             frontier = unit.block;
             mask = 0;
         } else if (unit.block < frontier + SCHED_WINDOW) {
             mask &= (UINT32_C(1) << (unit.block - frontier)) - 1;
-            forgotten -= (uint32_t)__builtin_popcount(mask);
-        } else {
-            forgotten = 0;
         }
-        /* Their cost was spent, but is not part of the picture any more. */
-        double cost_s = (double)j->cost_s[cell];
-        if (cost_s > 0.0) {
-            uint64_t measured = forgotten < j->measured_spots ? forgotten : j->measured_spots;
-            double spent_s = (double)measured * cost_s;
-            j->measured_spots -= measured;
-            j->committed_s -= spent_s < j->committed_s ? spent_s : j->committed_s;
-        }
+        forget_cost(j, cell, before - done_weight(j, frontier, mask));
         cell_open(j, cell, frontier, mask);
     }
     j->cells_reset += unit.cell_count;

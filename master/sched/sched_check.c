@@ -4,11 +4,12 @@
 /* 1, 2, 4: each spot is in one state, owners cover their spots, counters agree. */
 static void check_spots(const struct sched *s, const struct job *j)
 {
-    uint64_t done = 0, waiting = 0, leased = 0, shut = 0;
+    uint64_t done = 0, waiting = 0, leased = 0, shut = 0, weight = 0, weight_done = 0;
     for (uint32_t cell = 0; cell < j->cell_count; cell++) {
         uint32_t frontier = j->frontier[cell];
-        TL_ASSERT(frontier <= j->block_count);
-        TL_ASSERT(frontier == j->block_count || *job_spot_owner(j, cell, frontier) != OWNER_DONE);
+        weight += j->weight_below[j->limit[cell]];
+        TL_ASSERT(frontier <= j->limit[cell] && j->limit[cell] <= j->block_count);
+        TL_ASSERT(frontier == j->limit[cell] || *job_spot_owner(j, cell, frontier) != OWNER_DONE);
         for (uint32_t b = 0; b < j->block_count; b++) {
             enum spot_state state = job_spot_state(j, cell, b);
             const uint64_t *set = j->waiting + (size_t)b * j->shape.word_count;
@@ -16,7 +17,8 @@ static void check_spots(const struct sched *s, const struct job *j)
             done += state == SPOT_DONE;
             waiting += state == SPOT_WAITING;
             leased += state == SPOT_LEASED;
-            shut += state == SPOT_SHUT;
+            shut += state == SPOT_SHUT && b < j->limit[cell];
+            weight_done += state == SPOT_DONE ? job_weight(j, b) : 0;
             if (state != SPOT_LEASED)
                 continue;
             uint32_t owner = *job_spot_owner(j, cell, b);
@@ -30,6 +32,7 @@ static void check_spots(const struct sched *s, const struct job *j)
     }
     TL_ASSERT(done == j->spots.done && waiting == j->spots.waiting && leased == j->spots.leased);
     TL_ASSERT(done + waiting + leased + shut == job_spot_count(j));
+    TL_ASSERT(weight == j->weight_count && weight_done == j->weight_done);
 }
 
 /* What is left by cost agrees with the cells. */
@@ -40,14 +43,14 @@ static void check_progress(const struct job *j)
     for (uint32_t cell = 0; cell < j->cell_count; cell++) {
         if (j->cost_s[cell] <= 0.0f)
             continue;
-        for (uint32_t b = 0; b < j->block_count; b++) {
-            bool left = job_spot_state(j, cell, b) != SPOT_DONE;
+        for (uint32_t b = 0; b < j->limit[cell]; b++) {
+            uint64_t left = job_spot_state(j, cell, b) != SPOT_DONE ? job_weight(j, b) : 0;
             known += left;
-            known_s += left ? (double)j->cost_s[cell] : 0.0;
+            known_s += (double)left * (double)j->cost_s[cell];
         }
     }
     double error = known_s - j->known_s;
-    TL_ASSERT(known == j->known_spots);
+    TL_ASSERT(known == j->known_weight);
     TL_ASSERT(error <= 1e-6 * (1.0 + known_s) && error >= -1e-6 * (1.0 + known_s));
     TL_ASSERT(j->done_shown >= 0.0 && j->done_shown <= 1.0);
     TL_ASSERT(j->done_shown >= job_done_share(j) - 1e-9 || j->units == 0);
@@ -151,7 +154,7 @@ static void check_job(const struct sched *s, uint32_t slot)
               (j->solo.count == 0 && j->others.count == 0 && j->suspects.count == 0 &&
                j->suspects_alone.count == 0 && j->checks_out.count == 0));
     bool complete = j->spots.done == job_spot_count(j) && j->checks.count == 0 &&
-                    j->checks_out.count == 0 && s->liars_unsettled == 0;
+                    j->checks_out.count == 0 && s->liars_unsettled == 0 && !j->open;
     TL_ASSERT(j->state != SCHED_DONE || j->spots.done == job_spot_count(j));
     TL_ASSERT(!job_is_live(j) || !complete);
     check_spots(s, j);

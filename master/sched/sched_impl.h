@@ -59,15 +59,21 @@ struct job {
 
     /* The spots; tables in the caller's memory. */
     uint32_t cell_count, block_count;
+    uint32_t unit_ms; /* cap of a unit's aimed duration */
+    bool open;        /* limits may change yet */
     double cell_cost, verify_share;
     struct cellset_shape shape;
     uint32_t *owner;         /* [cell][block % SCHED_WINDOW], for open blocks */
     uint16_t *frontier;      /* [cell] */
-    float *cost_s;           /* [cell]: thread-seconds per block; 0: not measured */
+    uint16_t *limit;         /* [cell]: blocks that it gets */
+    float *cost_s;           /* [cell]: thread-seconds per weight; 0: not measured */
     uint64_t *waiting;       /* [block]: the set of its waiting cells */
     uint32_t *waiting_count; /* [block] */
     uint64_t waiting_blocks[JOB_BLOCKS_MAX / 64]; /* blocks with waiting cells */
     struct spot_counts spots;
+    uint64_t spot_count;                       /* sum of the limits */
+    uint64_t weight_below[JOB_BLOCKS_MAX + 1]; /* [block]: of all blocks below it */
+    uint64_t weight_count, weight_done;        /* of the spots, and of those done */
 
     /* Leases and units held back. */
     struct chain solo;           /* leases that own spots and have no copy, oldest first */
@@ -83,9 +89,9 @@ struct job {
     uint64_t started_ms;       /* first lease; UINT64_MAX: none yet */
     double samples, samples_s; /* accepted, and the thread-seconds they took */
     double committed_s;        /* cost of the measured spots */
-    uint64_t measured_spots;
-    double known_s; /* cost of the open spots of measured cells */
-    uint64_t known_spots;
+    uint64_t measured_weight;
+    double known_s; /* cost of the spots of measured cells that are not done */
+    uint64_t known_weight;
     struct eta_spread spread;
     double done_shown; /* highest share that was ever shown */
     uint64_t units, retried, speculated, rejected, compared, verified, mismatched, cells_reset;
@@ -234,8 +240,11 @@ void job_spot_give_back(struct job *j, uint32_t cell, uint32_t block);
 /* Counts a spot as done, whoever owned it; `cost_s` as measured, 0: not. */
 void job_spot_finish(struct sched *s, struct job *j, uint32_t cell, uint32_t block, double cost_s);
 void job_cells_reset(struct sched *s, struct job *j, struct unit unit);
-/* Expected thread-seconds of one cell of the job in one block; 0: nothing is known yet. */
-double job_cell_seconds(const struct job *j, uint32_t cell);
+/* Other limits; what is leased or done keeps its place. */
+void job_cells_limit(struct job *j, const uint16_t *limits);
+uint64_t job_weight(const struct job *j, uint32_t block);
+/* Expected thread-seconds of one cell of the job in that block; 0: nothing is known yet. */
+double job_cell_seconds(const struct job *j, uint32_t cell, uint32_t block);
 double job_left_seconds(const struct job *j, double *unknown_s);
 double job_done_share(const struct job *j);
 void job_progress_update(struct job *j);

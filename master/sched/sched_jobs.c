@@ -29,6 +29,12 @@ static bool add_valid(const struct sched_job_add *a)
         return false;
     if (!(a->cell_cost > 0.0) || !(a->verify_share >= 0.0 && a->verify_share <= 1.0))
         return false;
+    for (uint32_t i = 0; a->limits && i < a->cell_count; i++)
+        if (a->limits[i] == 0 || a->limits[i] > a->block_count)
+            return false;
+    for (uint32_t b = 0; a->block_weights && b < a->block_count; b++)
+        if (a->block_weights[b] == 0 || a->block_weights[b] > JOB_SPP_MAX)
+            return false;
     for (size_t i = 0; i < a->done_count; i++) {
         const struct sched_done *d = &a->done[i];
         if (d->cell_begin >= a->cell_count || d->cell_count > a->cell_count - d->cell_begin ||
@@ -49,7 +55,11 @@ static bool job_add(struct sched *s, uint64_t id, const struct sched_job_add *a)
     *j = (struct job){.id = id,
                       .state = a->paused ? SCHED_PAUSED : SCHED_ACTIVE,
                       .priority = a->priority,
+                      .open = a->open,
                       .cell_cost = a->cell_cost,
+                      .unit_ms = a->unit_ms > 0 && a->unit_ms < s->limits.unit_ms
+                                     ? a->unit_ms
+                                     : s->limits.unit_ms,
                       .unit_cells_max = a->unit_cells_max,
                       .verify_share = a->verify_share,
                       .started_ms = UINT64_MAX};
@@ -102,6 +112,8 @@ void job_fail(struct sched *s, uint32_t job, enum sched_why why, struct unit uni
 void job_settle(struct sched *s, uint32_t job)
 {
     struct job *j = &s->jobs[job];
+    if (j->open)
+        return;
     if (!job_is_live(j) || j->spots.done < job_spot_count(j) || j->checks.count > 0 ||
         j->checks_out.count > 0 || s->liars_unsettled > 0)
         return;
@@ -200,6 +212,39 @@ static bool job_reset_cells(struct sched *s, uint32_t job, struct unit unit)
     return true;
 }
 
+/* Takes back what no worker has begun, as far as the master knows. */
+static void unbegun_revoke(struct sched *s, uint32_t job)
+{
+    struct job *j = &s->jobs[job];
+    const uint32_t heads[] = {j->solo.head, j->others.head};
+    for (int i = 0; i < 2; i++) {
+        for (uint32_t l = heads[i]; l != SLOT_NONE;) {
+            uint32_t next = s->lease_job_links[l].next;
+            if (!s->leases[l].begun && s->leases[l].owner && s->leases[l].solo)
+                lease_end(s, l, END_REVOKED, false);
+            l = next;
+        }
+    }
+}
+
+static bool job_set_limits(struct sched *s, uint32_t job, const struct sched_job_limits *l)
+{
+    struct job *j = &s->jobs[job];
+    if (!j->open)
+        return false;
+    for (uint32_t cell = 0; l->limits && cell < j->cell_count; cell++)
+        if (l->limits[cell] == 0 || l->limits[cell] > j->block_count)
+            return false;
+    if (l->cut)
+        unbegun_revoke(s, job);
+    if (l->limits)
+        job_cells_limit(j, l->limits);
+    j->open = !l->final;
+    job_progress_update(j);
+    job_settle(s, job);
+    return true;
+}
+
 /* One worker at a time: the table may be large. A removed job's slot is free after the last. */
 bool jobs_close_next(struct sched *s, struct sched_action *out)
 {
@@ -256,6 +301,8 @@ bool jobs_feed(struct sched *s, const struct sched_event *e)
         return job_remove(s, job);
     case SCHED_JOB_PRIORITY:
         return job_set_priority(s, job, e->priority);
+    case SCHED_JOB_LIMITS:
+        return job_set_limits(s, job, &e->limits);
     case SCHED_CELLS_RESET:
         return job_reset_cells(s, job, e->unit);
     default:

@@ -89,12 +89,12 @@ static void left_fill(const struct sched *s, const struct job *j, double longest
                       struct sched_job_info *out)
 {
     double unknown_s, left_s = job_left_seconds(j, &unknown_s);
-    uint64_t left_spots = job_spot_count(j) - j->spots.done;
-    double spots_per_unit = j->units ? (double)j->spots.done / (double)j->units : 1.0;
+    uint64_t unknown_weight = j->weight_count - j->weight_done - j->known_weight;
+    double weight_per_unit = j->units ? (double)j->weight_done / (double)j->units : 1.0;
     struct eta e = {
         .known_s = left_s - unknown_s,
         .unknown_s = unknown_s,
-        .unknown_units = (uint64_t)((double)(left_spots - j->known_spots) / spots_per_unit) + 1,
+        .unknown_units = (uint64_t)((double)unknown_weight / weight_per_unit) + 1,
         .spread = j->spread,
         .threads = (double)j->begun,
         .longest_open_s = longest_s,
@@ -204,4 +204,25 @@ uint32_t sched_frontier(const struct sched *s, uint64_t job, uint32_t cell)
     if (slot == SLOT_NONE || cell >= s->jobs[slot].cell_count)
         return 0;
     return s->jobs[slot].frontier[cell];
+}
+
+uint64_t sched_waiting(const struct sched *s, uint64_t job)
+{
+    uint32_t slot = slotmap_find(&s->job_map, job);
+    return slot == SLOT_NONE ? 0 : s->jobs[slot].spots.waiting;
+}
+
+bool sched_limits_get(const struct sched *s, uint64_t job, uint16_t *limits)
+{
+    uint32_t slot = slotmap_find(&s->job_map, job);
+    for (uint32_t cell = 0; slot != SLOT_NONE && cell < s->jobs[slot].cell_count; cell++)
+        limits[cell] = s->jobs[slot].limit[cell];
+    return slot != SLOT_NONE;
+}
+
+double sched_left_seconds(const struct sched *s, uint64_t job)
+{
+    uint32_t slot = slotmap_find(&s->job_map, job);
+    double unknown_s = 0.0;
+    return slot == SLOT_NONE ? 0.0 : job_left_seconds(&s->jobs[slot], &unknown_s);
 }

@@ -267,7 +267,7 @@ static void scan_finish(struct sched *s)
         s->workers[worker].units++;
     j->samples += (double)scan->result.samples;
     j->samples_s += 1e-6 * (double)(scan->result.render_us > 0 ? scan->result.render_us : 1);
-    eta_spread_add(&j->spread, scan->cell_s);
+    eta_spread_add(&j->spread, scan->cell_s / (double)job_weight(j, scan->result.unit.block));
     job_progress_update(j);
     if (scan->checked && scan->accepted == scan->result.unit.cell_count)
         (void)check_new(s, scan->job, scan->result.unit,

@@ -208,8 +208,6 @@ USAGE = {
     "bad choice": (("render", "a.json", "-o", "b.exr", "--sampler", "sobl"), "sobol"),
     "same file twice": (("render", "a.json", "-o", "b.exr", "--report", "b.exr"), "twice"),
     "fast": (("render", "a.json", "-o", "b.exr", "--precision", "fast"), "not built yet"),
-    "target error": (("render", "a.json", "-o", "b.exr", "--target-error", "0.1"), "not built yet"),
-    "time limit": (("render", "a.json", "-o", "b.exr", "--time-limit", "3"), "not built yet"),
     "aov": (("render", "a.json", "-o", "b.exr", "--aov", "norml"), "known: depth,position"),
     "frames-mark": (("submit", "a.json", "--frames", "1-3"), "####"),
     "frames-range": (("submit", "a.#.json", "--frames", "3-1"), "A-B"),

@@ -7,3 +7,5 @@ tilery_test(test_sched_faults LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched_faults.c ${unit}/sched_rig.c)
 tilery_test(test_sched_restart LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched_restart.c ${unit}/sched_rig.c)
+tilery_test(test_sched_limits LABEL unit LINKS tl_sched
+  SOURCES ${unit}/test_sched_limits.c ${unit}/sched_rig.c)

@@ -119,11 +119,16 @@ static void test_refusals(void **state)
     refused("render a.json --integrator paht", "bad-value", "did you mean path");
     refused("render a.json --quiet=yes", "bad-value", "takes no value");
     refused("render a.json --spp 1 --spp 2", "given-twice", "--spp");
-    refused("render a.json --target-error 0.1", "not-built", "not built yet");
-    refused("render a.json --time-limit 5", "not-built", "--time-limit");
     refused("render a.json --aov norml", "bad-value", "known: depth,position");
     refused("render a.json --aov depth,,uv", "bad-value", "--aov");
     refused("render a.json --aov depth,depth", "bad-value", "twice");
+    refused("render a.json --target-error 0", "bad-value", "over 0");
+    refused("render a.json --target-error 0.1 --spp 4", "bad-value", "do not go together");
+    refused("render a.json --target-error 0.1 --time-limit 5", "bad-value", "--time-limit");
+    refused("render a.json --time-limit -5", "bad-value", "-5");
+    refused("render a.json --max-spp 64", "bad-value", "--target-error");
+    refused("render a.json --target-error 0.1 --max-spp 3", "bad-value", "from 4");
+    refused("render a.json --plan p.json --spp 4", "bad-value", "--plan");
 }
 
 /* All that is wrong is told at once. */

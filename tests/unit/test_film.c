@@ -281,6 +281,19 @@ static enum err memory_read(void *ctx, void *data, size_t bytes)
 
 static struct memory memory;
 
+/* Takes the film; gives it as it comes back. */
+static struct film *save_and_load(struct film *f, const struct rig *r)
+{
+    struct film *again;
+    memory.bytes = memory.at = 0;
+    assert_int_equal(film_save(f, memory_write, &memory), ERR_OK);
+    assert_int_equal(film_load(&r->grid, &r->blocks, memory_read, &memory, &again), ERR_OK);
+    film_check(again);
+    assert_int_equal(film_present_count(again), film_present_count(f));
+    film_free(f);
+    return again;
+}
+
 static void test_save_and_go_on(void **state)
 {
     (void)state;
@@ -294,14 +307,7 @@ static void test_save_and_go_on(void **state)
         add(&r, f, r.units[i]);
         if (i % 5 != 0)
             continue;
-        struct film *again;
-        memory.bytes = memory.at = 0;
-        assert_int_equal(film_save(f, memory_write, &memory), ERR_OK);
-        assert_int_equal(film_load(&r.grid, &r.blocks, memory_read, &memory, &again), ERR_OK);
-        film_check(again);
-        assert_int_equal(film_present_count(again), film_present_count(f));
-        film_free(f);
-        f = again;
+        f = save_and_load(f, &r);
     }
     digest found = picture_digest(&r, f);
     assert_true(film_complete(f) && digest_equal(&expected, &found));
@@ -386,6 +392,87 @@ static void test_aovs(void **state)
     grid_release(&other);
     film_free(f);
     grid_release(&r.grid);
+}
+
+/* --- Cells with different numbers of blocks ---------------------------- */
+
+/* A pilot that is dropped, kept or never rendered; then a plan of two stages; saved and loaded on
+ * the way. The picture is that of the samples that count, whatever came between. */
+static void planned_film(enum film_pilot pilot)
+{
+    struct rig r = {0};
+    job_spec_init(&r.spec);
+    r.spec.width = 40;
+    r.spec.height = 40;
+    r.spec.crop = (struct job_crop){0, 0, 40, 40};
+    r.spec.spp = 64;
+    r.spec.stop = JOB_STOP_TIME;
+    r.spec.time_limit_s = 1;
+    r.blocks = job_spec_blocks(&r.spec);
+    assert_int_equal(grid_init(&r.grid, &r.spec), ERR_OK);
+    assert_int_equal(r.grid.cell_count, 9);
+    uint16_t limits[9], first[9];
+    for (uint32_t cell = 0; cell < 9; cell++) {
+        limits[cell] = (uint16_t)(r.blocks.pilot + 2 * (1 + cell % 3));
+        first[cell] = (uint16_t)(r.blocks.pilot + 2);
+    }
+    struct film *f;
+    assert_int_equal(film_new(&r.grid, &r.blocks, &f), ERR_OK);
+    if (pilot == FILM_PILOT_SKIPPED) {
+        assert_true(film_plan(f, limits, pilot));
+    } else {
+        assert_int_equal(film_total_count(f), 9 * r.blocks.pilot);
+        for (uint32_t block = 0; block < r.blocks.pilot; block++)
+            add(&r, f, (struct unit){0, 9, block});
+        assert_true(film_complete(f));
+        film_read_begin(f);
+        assert_false(film_plan(f, first, pilot));
+        film_read_end(f);
+        assert_true(film_plan(f, first, pilot));
+        assert_false(film_complete(f));
+    }
+    for (uint32_t block = r.blocks.pilot; block < r.blocks.count; block++) {
+        if (block == r.blocks.pilot + 2) {
+            assert_true(film_complete(f) == (pilot != FILM_PILOT_SKIPPED));
+            assert_true(film_plan(f, limits, FILM_PILOT_DROPPED)); /* later calls decide nothing */
+        }
+        for (uint32_t cell = 0; cell < 9; cell++)
+            if (block < limits[cell])
+                add(&r, f, (struct unit){cell, 1, block});
+        film_check(f);
+        if (block == r.blocks.pilot + 1)
+            f = save_and_load(f, &r);
+    }
+    assert_true(film_complete(f));
+    assert_memory_equal(film_limits(f), limits, sizeof limits);
+
+    float picture[40 * 40 * 3];
+    film_picture(f, picture);
+    uint64_t spp_min, spp_max;
+    double spp_mean, kept = pilot == FILM_PILOT_KEPT ? 16 : 0;
+    film_samples(f, &spp_min, &spp_mean, &spp_max);
+    assert_true((double)spp_min == 4 + kept && (double)spp_max == 12 + kept);
+    for (uint32_t cell = 0; cell < 9; cell++) {
+        struct grid_rect rect = grid_cell(&r.grid, cell);
+        double half[2] = {0}, samples = kept + (double)job_blocks_samples(&r.blocks, limits[cell]);
+        for (uint32_t block = kept > 0 ? 0 : r.blocks.pilot; block < limits[cell]; block++) {
+            float *rgb = unit_pixels(&r, (struct unit){cell, 1, block});
+            half[block & 1] += (double)rgb[0];
+            mem_free(rgb);
+        }
+        float expected = (float)((half[0] + half[1]) / samples);
+        assert_true(picture[(rect.y * 40 + rect.x) * 3] == expected);
+    }
+    film_free(f);
+    grid_release(&r.grid);
+}
+
+static void test_plan(void **state)
+{
+    (void)state;
+    planned_film(FILM_PILOT_DROPPED);
+    planned_film(FILM_PILOT_KEPT);
+    planned_film(FILM_PILOT_SKIPPED);
 }
 
 /* --- Memory and error --------------------------------------------------- */
@@ -482,6 +569,7 @@ int main(void)
         cmocka_unit_test(test_save_and_go_on),
         cmocka_unit_test(test_load_damaged),
         cmocka_unit_test(test_aovs),
+        cmocka_unit_test(test_plan),
         cmocka_unit_test(test_out_of_memory),
         cmocka_unit_test(test_error_estimate),
     };

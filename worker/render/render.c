@@ -87,18 +87,39 @@ static struct grid_rect cursor_group(const struct cursor *c)
                               below < c->side ? below : c->side};
 }
 
-/* The sequence of a group, of which each pixel takes an aligned run: evenly spread within each
- * pixel, and over all of them. */
+/* The pilot's sequences are scrambled on their own, as those of two more halves. */
+static uint32_t sequence_of(const struct cursor *c)
+{
+    return c->block.half + (c->block.pilot ? 2 : 0);
+}
+
+/* The place of a pixel's sample in the sequence of its group. Where every pixel gets the same
+ * samples, each takes an aligned run: evenly spread within each pixel, and over all of them. Where
+ * nobody knows yet how many a pixel will get, samples 2^k to 2^(k+1) - 1 of all pixels follow
+ * those below: each pixel takes an aligned run of 2^k of them, and after each doubling the group
+ * has used a whole prefix of the sequence. */
+static uint64_t group_index(const struct render_scene *scene, const struct cursor *c, uint64_t lane)
+{
+    const struct job_spec *spec = &scene->spec;
+    uint64_t index = c->block.begin + c->sample, run = 1;
+    if (spec->stop == JOB_STOP_SPP) {
+        while (run < spec->spp - spec->spp / 2)
+            run *= 2;
+        return lane * run + index;
+    }
+    if (index == 0)
+        return lane;
+    while (run <= index / 2)
+        run *= 2;
+    return ((uint64_t)c->side * c->side + lane) * run + (index - run);
+}
+
 static struct sampler group_sampler(const struct render_scene *scene, const struct cursor *c,
                                     uint32_t x, uint32_t y)
 {
-    const struct job_spec *spec = &scene->spec;
-    uint64_t run = 1;
-    while (run < spec->spp - spec->spp / 2)
-        run *= 2;
     uint64_t lane = (uint64_t)(y - c->y) * c->side + (x - c->x);
-    uint64_t index = c->block.begin + c->sample;
-    return sampler_of(spec->sampler, spec->seed, c->x, c->y, c->block.half, lane * run + index);
+    return sampler_of(scene->spec.sampler, scene->spec.seed, c->x, c->y, sequence_of(c),
+                      group_index(scene, c, lane));
 }
 
 /* Makes the sample of a pixel of the group at the cursor a path with its camera ray. */
@@ -108,7 +129,7 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     const struct job_spec *spec = &scene->spec;
     uint32_t index = w->path_count++;
     struct path *path = &w->paths[index];
-    struct sampler own = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, c->block.half,
+    struct sampler own = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, sequence_of(c),
                                     c->block.begin + c->sample);
     path->sampler = group_sampler(scene, c, x, y);
     path->x = x;
@@ -250,12 +271,13 @@ static void add_group(const struct render_scene *scene, const struct render_scra
     cursor_next(&sums->at);
 }
 
-/* The unit's AOVs of kind CENTRE: zeros in all blocks but the first. */
+/* The unit's AOVs of kind CENTRE: zeros in all blocks but the first, of the pilot and of the
+ * estimate. */
 static void put_centres(const struct render_scene *scene, const struct grid *grid, struct unit unit,
                         struct render_scratch *w, const struct sums *sums)
 {
     float *planes = sums->out + JOB_COLOR_PLANES * sums->plane;
-    if (unit.block != 0) {
+    if (sums->at.block.begin != 0 || sums->at.block.half != 0) {
         memset(planes, 0, sums->centre_count * sums->plane * sizeof *planes);
         return;
     }
@@ -278,7 +300,7 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
                      struct render_scratch *scratch, const atomic_bool *stop, float *out,
                      struct render_counters *counters)
 {
-    struct job_blocks blocks = job_blocks_of(scene->spec.spp);
+    struct job_blocks blocks = job_spec_blocks(&scene->spec);
     TL_ASSERT(grid_has_unit(grid, &blocks, unit));
     struct job_block block = job_block_at(&blocks, unit.block);
     struct cursor cursor = cursor_of(scene, grid, unit, block);

@@ -1,0 +1,120 @@
+#include "master/allocate.h"
+
+#include <math.h>
+
+/* Of the mean share: less would trust a pilot that may have missed spikes. */
+static const double SHARE_MIN = 0.25;
+
+static double cell_pixels(const struct grid *grid, uint32_t cell)
+{
+    struct grid_rect r = grid_cell(grid, cell);
+    return (double)r.width * r.height;
+}
+
+/* Makes the pixels' mean share 1. */
+static void normalise(const struct grid *grid, float *shares)
+{
+    double sum = 0, pixels = 0;
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
+        sum += (double)shares[cell] * cell_pixels(grid, cell);
+        pixels += cell_pixels(grid, cell);
+    }
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++)
+        shares[cell] = sum > 0 ? (float)((double)shares[cell] * pixels / sum) : 1;
+}
+
+/* Mean of the cells around one, itself left out; `by_place` is row by row. */
+static double around(const struct grid *grid, const float *by_place, uint32_t place)
+{
+    uint32_t column = place % grid->columns, row = place / grid->columns, count = 0;
+    double sum = 0;
+    for (uint32_t y = row > 0 ? row - 1 : 0; y <= row + 1 && y < grid->rows; y++) {
+        for (uint32_t x = column > 0 ? column - 1 : 0; x <= column + 1 && x < grid->columns; x++) {
+            if (x == column && y == row)
+                continue;
+            sum += (double)by_place[y * grid->columns + x];
+            count++;
+        }
+    }
+    return count > 0 ? sum / count : (double)by_place[place];
+}
+
+void allocate_shares(const struct grid *grid, const double *terms, float *shares, float *scratch)
+{
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++)
+        scratch[grid->order[cell]] = (float)sqrt(terms[cell] / cell_pixels(grid, cell));
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
+        uint32_t place = grid->order[cell];
+        shares[cell] = (float)(0.5 * ((double)scratch[place] + around(grid, scratch, place)));
+    }
+    normalise(grid, shares);
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++)
+        if ((double)shares[cell] < SHARE_MIN)
+            shares[cell] = (float)SHARE_MIN;
+    normalise(grid, shares);
+}
+
+/* The step of the ladder nearest to so many samples, by ratio. */
+static uint32_t steps_for(const struct job_blocks *blocks, double spp)
+{
+    uint32_t low = 1, high = (blocks->count - blocks->pilot) / 2;
+    while (low < high) {
+        uint32_t middle = (low + high) / 2;
+        double here = 2 * (double)job_ladder(middle), above = 2 * (double)job_ladder(middle + 1);
+        if (here * above < spp * spp)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+bool allocate_limits(const struct grid *grid, const struct job_blocks *blocks, const float *shares,
+                     double mean_spp, double spp_min, uint16_t *limits)
+{
+    bool any = false;
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
+        double spp = mean_spp * (double)shares[cell];
+        limits[cell] =
+            (uint16_t)(blocks->pilot + 2 * steps_for(blocks, spp > spp_min ? spp : spp_min));
+        any |= limits[cell] < blocks->count;
+    }
+    return any;
+}
+
+double allocate_predict(const struct grid *grid, const struct job_blocks *blocks,
+                        const double *terms, const uint16_t *limits)
+{
+    double sum = 0, pixels = 0, pilot = (double)job_pilot_samples(blocks);
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
+        sum += terms[cell] * pilot / (double)job_blocks_samples(blocks, limits[cell]);
+        pixels += cell_pixels(grid, cell);
+    }
+    return sum / pixels;
+}
+
+double allocate_mean_for(const struct grid *grid, const struct job_blocks *blocks,
+                         const double *terms, const float *shares, double target, uint16_t *limits)
+{
+    enum { HALVINGS = 40 };
+    double low = 1, high = 2 * (double)blocks->spp / SHARE_MIN;
+    for (int i = 0; i < HALVINGS; i++) {
+        double middle = sqrt(low * high);
+        (void)allocate_limits(grid, blocks, shares, middle, 0, limits);
+        if (allocate_predict(grid, blocks, terms, limits) > target)
+            low = middle;
+        else
+            high = middle;
+    }
+    return high;
+}
+
+double allocate_gain(const struct grid *grid, const double *terms, const float *shares)
+{
+    double even = 0, shared = 0;
+    for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
+        even += terms[cell];
+        shared += terms[cell] / (double)shares[cell];
+    }
+    return even > 0 ? shared / even : 1;
+}

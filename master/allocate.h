@@ -1,0 +1,39 @@
+/* master/allocate.h: where samples go: from the pilot's error to blocks per cell.
+ *
+ * With variance v of a pixel's sample, weighed as relMSE weighs it, the samples that reach an
+ * error with the least work are in proportion to sqrt(v) (Neyman 1934), here by squares of 16 x 16
+ * pixels. The pilot alone decides the proportions, and its samples are then dropped: samples that
+ * decide how many follow them must not be part of the mean, or dark pixels whose spikes were not
+ * seen yet would stay dark. Only + - * / and sqrt: the same plan on every machine. Pure; no
+ * allocation.
+ *
+ * Tests: tests/unit/test_allocate.c.
+ */
+#ifndef MASTER_ALLOCATE_H
+#define MASTER_ALLOCATE_H
+
+#include "common/grid.h"
+
+/* `terms` is each cell's sum of the pixels' terms of relMSE over the pilot. Fills `shares`: samples
+ * of the cell's pixels over the picture's mean. A cell's own measure is noisy and blind to
+ * spikes that the pilot missed: half of it is its neighbours', and none gets less than a
+ * quarter of the mean. `scratch` has cell_count places. */
+void allocate_shares(const struct grid *grid, const double *terms, float *shares, float *scratch);
+
+/* Blocks of each cell for `mean_spp` samples a pixel on average, the pilot's not counted, and at
+ * least `spp_min`. False: all cells are at the job's end already. */
+bool allocate_limits(const struct grid *grid, const struct job_blocks *blocks, const float *shares,
+                     double mean_spp, double spp_min, uint16_t *limits);
+
+/* relMSE at those limits, were variance to fall as 1 / samples. */
+double allocate_predict(const struct grid *grid, const struct job_blocks *blocks,
+                        const double *terms, const uint16_t *limits);
+
+/* The mean samples that `target` takes by allocate_predict. `limits` is scratch. */
+double allocate_mean_for(const struct grid *grid, const struct job_blocks *blocks,
+                         const double *terms, const float *shares, double target, uint16_t *limits);
+
+/* Work of the allocation over that of equal samples for the same error, <= 1 for exact shares. */
+double allocate_gain(const struct grid *grid, const double *terms, const float *shares);
+
+#endif
