@@ -9,6 +9,8 @@ packages_build="gcc libc6-dev cmake ninja-build pkg-config ca-certificates git
 packages_test="libcmocka-dev clang-14 libclang-rt-14-dev clang-format-14 libembree-dev
     python3 python3-pytest python3-numpy python3-requests python3-jsonschema python3-venv
     binutils procps curl patch chromium fonts-dejavu-core"
+# Mitsuba's fast variant (tests/mitsuba/run); its wheel aborts with older ones.
+packages_peer="libllvm19"
 packages_docker="docker.io docker-compose debootstrap"
 
 install_packages() {

@@ -15,12 +15,10 @@ tilery_test(test_scene_build LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_build.c ${render_kit})
 tilery_test(test_light_tree LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_light_tree.c ${render_kit})
-tilery_test(test_shade LABEL render LINKS tl_worker m
-  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_shade.c ${render_kit})
-tilery_test(test_integrators LABEL render LINKS tl_worker m
-  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_integrators.c ${render_kit})
 tilery_test(test_aov LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_aov.c ${render_kit})
+tilery_test(test_mitsuba LABEL render TIMEOUT 600 LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_mitsuba.c ${render_kit})
 
 # What of these is a row of the matrix of extremes runs by its id, under both labels.
 numerics_rows(test_transport ALSO render ROWS test_t13_integrating_sphere

@@ -42,4 +42,40 @@ static inline double stats_fit_z(const double *expected, const double *observed,
     return degrees > 0 ? stats_chi2_z(chi2, degrees) : 0;
 }
 
+/* Continued fraction of the incomplete beta function, by Lentz's method (Abramowitz and Stegun
+ * 26.5.8). */
+static inline double stats_beta_fraction(double a, double b, double x)
+{
+    const double tiny = 1e-300;
+    double c = 1, d = 1 - (a + b) * x / (a + 1);
+    d = 1 / (fabs(d) > tiny ? d : tiny);
+    double result = d;
+    for (int k = 2; k < 800; k++) {
+        /* Odd and even terms in turn; the first one, d1, is in the start. */
+        double m = (double)(k / 2);
+        double term = k % 2 ? -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1))
+                            : m * (b - m) * x / ((a + 2 * m - 1) * (a + 2 * m));
+        d = 1 + term * d;
+        c = 1 + term / c;
+        d = 1 / (fabs(d) > tiny ? d : tiny);
+        c = fabs(c) > tiny ? c : tiny;
+        result *= d * c;
+        if (fabs(d * c - 1) < 1e-13)
+            break;
+    }
+    return result;
+}
+
+/* P(|T| > |t|) for Student's t of `degrees` of freedom, > 0. */
+static inline double stats_t_two_sided(double t, double degrees)
+{
+    double a = 0.5 * degrees, b = 0.5, x = degrees / (degrees + t * t);
+    if (!(x < 1))
+        return 1;
+    double front = exp(lgamma(a + b) - lgamma(a) - lgamma(b) + a * log(x) + b * log1p(-x));
+    if (x < (a + 1) / (a + b + 2))
+        return front * stats_beta_fraction(a, b, x) / a;
+    return 1 - front * stats_beta_fraction(b, a, 1 - x) / b;
+}
+
 #endif
