@@ -27,11 +27,29 @@ struct stats_interval study_gain(const struct study *s, const struct study_point
                       (struct stats_work){p->core_s, p->relmse}, count);
 }
 
+/* What is less than this share of the time spent drowns in what the set-up varies by. */
+#define CORE_SHARE_LEAST 0.02
+
+static void take_setups_out(struct study *s)
+{
+    for (int i = 0; i < 2; i++)
+        s->setups[i].median_s = s->own_farm && s->setups[i].count
+                                    ? stats_median(s->setups[i].core_s, s->setups[i].count)
+                                    : 0;
+    for (uint32_t i = 0; i < s->point_count; i++) {
+        struct study_point *p = &s->points[i];
+        for (uint32_t k = 0; k < p->repeats; k++)
+            p->core_s[k] = fmax(p->spent_core_s[k] - s->setups[p->median_tree].median_s,
+                                CORE_SHARE_LEAST * p->spent_core_s[k]);
+    }
+}
+
 void study_evaluate(struct study *s)
 {
     double costs[STUDY_POINTS_MAX], errors[STUDY_POINTS_MAX];
     bool front[STUDY_POINTS_MAX];
     const struct study_point *base = &s->points[s->base];
+    take_setups_out(s);
     for (uint32_t i = 0; i < s->point_count; i++) {
         struct study_point *p = &s->points[i];
         p->cost = stats_cost(p->core_s, p->repeats);

@@ -63,7 +63,8 @@ struct study_point {
     bool median_tree; /* its set-up cost is the other builder's */
     /* Measured: */
     uint32_t repeats;
-    double core_s[STUDY_REPEATS_MAX]; /* set-up apart */
+    double spent_core_s[STUDY_REPEATS_MAX]; /* as measured */
+    double core_s[STUDY_REPEATS_MAX];       /* set-up taken out, by study_evaluate */
     double wall_s[STUDY_REPEATS_MAX], relmse[STUDY_REPEATS_MAX];
     double spp_mean;               /* of the last repeat */
     uint64_t rays, file_bytes;     /* the same */
@@ -105,7 +106,14 @@ struct study {
     uint32_t workers, threads; /* threads of all workers */
     bool own_farm;             /* core-seconds are CPU time of our workers; else as reported */
     bool interrupted;
-    double setup_core_s[2]; /* of one job: reading the scene and building the tree; sah, median */
+    /* Of a job besides its samples: reading the scene, building the tree; by builder, sah and
+     * median. Measured again in each round, since machines get busier; medians by study_evaluate.
+     */
+    struct {
+        double core_s[STATS_MEDIAN_MAX];
+        uint32_t count;
+        double median_s; /* 0 on a named farm, whose reports leave it out */
+    } setups[2];
     uint32_t render_count;
     struct study_truth truth;
     struct study_point points[STUDY_POINTS_MAX];

@@ -190,12 +190,13 @@ static void put_intro(const struct study *s, struct buf *out)
                "2 x %" PRIu64
                " samples and paths of up to %u, whose own relMSE of %s is taken out.",
                s->base_spp, s->render_count, spent, s->reference_spp, s->reference_depth, relmse);
-    buf_printf(out,
-               s->own_farm ? " Core-seconds are CPU time of the workers; reading the scene and "
-                             "building its tree, %.3g core-seconds a job, is taken out."
-                           : " Core-seconds are those that the farm reports; reading the scene and "
-                             "building the tree (%.3g core-seconds for one pixel) is not in them.",
-               s->setup_core_s[0]);
+    if (s->own_farm)
+        buf_printf(out,
+                   " Core-seconds are CPU time of the workers; reading the scene and building its "
+                   "tree, %.3g core-seconds a job, is taken out.",
+                   s->setups[0].median_s);
+    else
+        buf_printf(out, " Core-seconds are those that the farm reports.");
     if (s->interrupted)
         buf_printf(out, " <b>The study was interrupted: this is what had been measured.</b>");
     buf_printf(out, "</p>\n");

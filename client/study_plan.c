@@ -13,8 +13,12 @@ enum { BASE_SPP = 16, BASE_SPP_SMALL = 4, LADDER = 5 };
 #define LADDER_WORK 21.3
 /* Base renders kept for rendering the recommendations. */
 #define PRESET_WORK 24.0
+/* The base costs so many set-ups, even when the plan grows by as much. */
+#define SETUP_FACTOR 2.0
+#define BOLD_FACTOR  2.5
 /* Of the time, for what the pilot did not foresee. */
-#define TIME_SHARE 0.85
+#define TIME_SHARE    0.85
+#define SAMPLES_SHARE 0.4
 
 static uint32_t at_least_1(double v)
 {
@@ -51,8 +55,11 @@ void study_plan_size(struct study *s, const struct job_spec *spec, bool fixed,
     double repeats = STUDY_REPEATS_AIM, jobs = repeats * (OTHER_POINTS + LADDER);
     double work =
         repeats * (LADDER_WORK + OTHER_POINTS - 1) + 2 * STUDY_REFERENCE_FACTOR + PRESET_WORK;
-    double usable = TIME_SHARE * seconds - jobs * pilot->overhead_s;
-    double samples = fmax(0, usable) / work * pilot->samples_s; /* of one base render */
+    /* Where jobs cost more than that besides their samples, there are fewer repeats in place. */
+    double usable = TIME_SHARE * fmax(seconds - jobs * pilot->overhead_s, SAMPLES_SHARE * seconds);
+    double samples = usable / work * pilot->samples_s; /* of one base render */
+    /* Costs beside a large set-up are hard to see: rather fewer repeats than that. */
+    samples = fmax(samples, fmin(SETUP_FACTOR * pilot->setup_samples, BOLD_FACTOR * samples));
     s->reduced = false;
     s->scene_width = spec->crop.width;
     s->scene_height = spec->crop.height;

@@ -22,6 +22,8 @@ enum {
 struct study_pilot {
     double samples_s;  /* pixel samples per second of the wall */
     double overhead_s; /* seconds that a job takes besides them */
+    double
+        setup_samples; /* samples that cost as much as a job's set-up; 0: it is not in the cost */
 };
 
 /* Size of the pictures and samples of the base. `spec` is the scene's job after the options;

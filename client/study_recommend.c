@@ -20,18 +20,27 @@ static bool too_biased(const struct study_point *p, double target)
     return p->parts.bias2 > BIAS_SHARE * target && p->parts.bias2 > 2 * p->parts.bias2_se;
 }
 
+/* Two dozen settings are tried, so that one whose interval just clears 1 is likely among them by
+ * chance: the gain must be so many half intervals over 1. */
+#define SURELY 1.6
+
+static bool surely_better(struct stats_interval gain)
+{
+    return gain.value > GAIN_LEAST && log(gain.value) > SURELY * log(gain.value / gain.low);
+}
+
 /* The best value of a knob for a target; NULL: the base's. */
 static const struct study_point *best_of(const struct study *s, enum study_knob knob, double target)
 {
     const struct study_point *best = NULL;
     bool base_fails = knob == KNOB_DEPTH && too_biased(&s->points[s->base], target);
-    double best_gain = base_fails ? 0 : GAIN_LEAST;
+    double best_gain = 0;
     for (uint32_t i = 0; i < s->point_count; i++) {
         const struct study_point *p = &s->points[i];
         if (p->knob != knob || !study_point_measured(p) || p->same_bits || too_biased(p, target))
             continue;
         struct stats_interval gain = study_gain(s, p);
-        if (gain.value > best_gain && (base_fails || gain.low > 1)) {
+        if (gain.value > best_gain && (base_fails || surely_better(gain))) {
             best = p;
             best_gain = gain.value;
         }
@@ -44,7 +53,7 @@ static const struct study_point *best_tree(const struct study *s)
 {
     for (uint32_t i = 0; i < s->point_count; i++) {
         const struct study_point *p = &s->points[i];
-        if (p->knob == KNOB_BUILDER && study_point_measured(p) && study_gain(s, p).low > GAIN_LEAST)
+        if (p->knob == KNOB_BUILDER && study_point_measured(p) && surely_better(study_gain(s, p)))
             return p;
     }
     return NULL;

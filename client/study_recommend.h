@@ -1,12 +1,13 @@
 /* client/study_recommend.h: from measurements to settings for a draft, a standard and a final
  * picture.
  *
- * Of each knob the value is taken whose cost x error is surely lower than the base's (the whole 95
- * % interval of the gain over 1) and whose bias^2 is not shown to be over a tenth of the target;
- * gains of several knobs are taken to multiply, and the samples follow from the spp ladder's law.
- * Whether that came true is measured: the recommendations are rendered as points of their own
- * where the budget lets them, and corrected once. What only exists for comparing (intersectors, no
- * tree) and what depends on the size of the picture (cells) is never recommended.
+ * Of each knob the value is taken whose cost x error is surely lower than the base's (more than 1.6
+ * half 95 % intervals of the gain over 1, since many are tried) and whose bias^2 is not shown to be
+ * over a tenth of the target; gains of several knobs are taken to multiply, and the samples follow
+ * from the spp ladder's law. Whether that came true is measured: the recommendations are rendered
+ * as points of their own where the budget lets them, and corrected once. What only exists for
+ * comparing (intersectors, no tree) and what depends on the size of the picture (cells) is never
+ * recommended.
  *
  * Pure; one thread. Test: test_study.
  */

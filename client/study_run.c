@@ -86,23 +86,21 @@ static int render(struct run *r, const struct study_setting *settings, uint32_t 
 
 /* --- Pilot ------------------------------------------------------------------ */
 
-/* What a job costs besides its samples: one pixel of one sample. */
-static int measure_setup(struct run *r, bool median, double *core_s, double *wall_s)
+/* What a job costs besides its samples: one pixel of one sample. Adds to *wall_s. */
+static int measure_setup(struct run *r, bool median, double *wall_s)
 {
-    double core[SETUP_REPEATS], wall[SETUP_REPEATS];
-    for (uint64_t i = 0; i < SETUP_REPEATS; i++) {
-        struct study_setting settings[3] = {{CLI_SPP, "1"}, {CLI_CROP_XYWH, "0,0,1,1"}};
-        struct study_render one;
-        settings[2] = (struct study_setting){CLI_BUILDER, "median"};
-        int status = study_farm_render(r->f, settings, median ? 3 : 2, &one);
-        if (status != EXIT_DONE)
-            return status;
-        core[i] = one.core_s;
-        wall[i] = one.wall_s;
-        mem_free(one.rgb);
-    }
-    *core_s = stats_median(core, SETUP_REPEATS);
-    *wall_s = stats_median(wall, SETUP_REPEATS);
+    struct study_setting settings[3] = {{CLI_SPP, "1"}, {CLI_CROP_XYWH, "0,0,1,1"}};
+    struct study_render one;
+    uint32_t *count = &r->s->setups[median].count;
+    settings[2] = (struct study_setting){CLI_BUILDER, "median"};
+    if (*count >= STATS_MEDIAN_MAX)
+        return EXIT_DONE;
+    int status = study_farm_render(r->f, settings, median ? 3 : 2, &one);
+    if (status != EXIT_DONE)
+        return status;
+    r->s->setups[median].core_s[(*count)++] = one.core_s;
+    *wall_s += one.wall_s;
+    mem_free(one.rgb);
     return EXIT_DONE;
 }
 
@@ -115,6 +113,8 @@ static int measure_speed(struct run *r, const struct job_spec *spec, struct stud
     uint32_t width = (uint32_t)fmax(1, PILOT_SIDE * sqrt(aspect));
     uint32_t height = (uint32_t)fmax(1, PILOT_SIDE / sqrt(aspect));
     double enough_s = fmin(fmax(PILOT_SHARE * r->s->budget_s, 0.1), 1);
+    double setup_s =
+        r->f->own_runs ? stats_median(r->s->setups[0].core_s, r->s->setups[0].count) : 0;
     uint64_t spp = r->fixed ? 1 : PILOT_SPP;
     for (int i = 0; i < PILOT_RENDERS && one.wall_s < enough_s; i++, spp *= 4) {
         put_number(&setting, CLI_SPP, spp);
@@ -122,7 +122,9 @@ static int measure_speed(struct run *r, const struct job_spec *spec, struct stud
         if (status != EXIT_DONE)
             return status;
         double busy_s = fmax(one.wall_s - pilot->overhead_s, one.wall_s / 2);
-        pilot->samples_s = (double)one.width * one.height * (double)spp / busy_s;
+        double samples = (double)one.width * one.height * (double)spp;
+        pilot->samples_s = samples / busy_s;
+        pilot->setup_samples = samples * setup_s / fmax(one.core_s - setup_s, one.core_s / 4);
         mem_free(one.rgb);
     }
     return EXIT_DONE;
@@ -130,10 +132,11 @@ static int measure_speed(struct run *r, const struct job_spec *spec, struct stud
 
 static int run_pilot(struct run *r, const struct job_spec *spec, struct study_pilot *pilot)
 {
-    double ignored;
-    int status = measure_setup(r, false, &r->s->setup_core_s[0], &pilot->overhead_s);
-    if (status == EXIT_DONE)
-        status = measure_setup(r, true, &r->s->setup_core_s[1], &ignored);
+    int status = EXIT_DONE;
+    double wall_s = 0;
+    for (int i = 0; i < 2 * SETUP_REPEATS && status == EXIT_DONE; i++)
+        status = measure_setup(r, i % 2 == 1, &wall_s);
+    pilot->overhead_s = wall_s / (2 * SETUP_REPEATS);
     return status == EXIT_DONE ? measure_speed(r, spec, pilot) : status;
 }
 
@@ -188,12 +191,11 @@ static int no_memory(void)
 
 static int take(struct run *r, struct study_point *p, struct study_render *one)
 {
-    double setup_s = r->f->own_runs ? r->s->setup_core_s[p->median_tree] : 0;
     double relmse;
     if (study_sums_add(&p->sums, &r->s->truth, one->rgb, &relmse) != ERR_OK)
         return no_memory();
     p->relmse[p->repeats] = relmse;
-    p->core_s[p->repeats] = fmax(one->core_s - setup_s, 1e-6);
+    p->spent_core_s[p->repeats] = one->core_s;
     p->wall_s[p->repeats++] = one->wall_s;
     p->spp_mean = one->spp_mean;
     p->rays = one->rays;
@@ -270,22 +272,32 @@ static int render_point(struct run *r, uint32_t i)
     return status;
 }
 
+/* The set-up again, while there is time: it changes with the machine as all else does. */
+static int round_setup(struct run *r, double until_s)
+{
+    double ignored = 0;
+    bool late = follow_now_s() + r->wall_s[r->s->base] > until_s;
+    int status = late ? EXIT_DONE : measure_setup(r, false, &ignored);
+    return status == EXIT_DONE && !late ? measure_setup(r, true, &ignored) : status;
+}
+
 /* Rounds over the points [from, to) until none fits before `until_s` or all have `repeats`. */
 static int rounds(struct run *r, uint32_t from, uint32_t to, uint32_t repeats, double until_s)
 {
     for (uint32_t round = 0; round < repeats; round++) {
         bool any = false;
-        for (uint32_t i = from; i < to; i++) {
+        int status = round_setup(r, until_s);
+        for (uint32_t i = from; i < to && status == EXIT_DONE; i++) {
             struct study_point *p = &r->s->points[i];
             if (p->repeats > round || !ready(r, p))
                 continue;
             any = true;
             if (follow_now_s() + expected_s(r, i) > until_s)
                 continue;
-            int status = render_point(r, i);
-            if (status != EXIT_DONE)
-                return status;
+            status = render_point(r, i);
         }
+        if (status != EXIT_DONE)
+            return status;
         if (!any && round > 0 && follow_now_s() > until_s)
             break;
     }

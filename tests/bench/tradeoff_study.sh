@@ -4,17 +4,17 @@
 #   refract    scenes/cbox_no_light_refract.json, a point light and a disc that refracts
 #   cbox       scenes/cbox.json, an area light
 #   veach      scenes/veach.json, glossy plates
-#   sky        196,608 triangles under a sky with a sun (scenes/make_sky.py)
+#   sky        49,152 triangles under a sky with a sun (scenes/make_sky.py)
 #
-# usage: tests/bench/tradeoff_study.sh OUT_DIR [SECONDS]    (180 for each; the release build)
+# usage: tests/bench/tradeoff_study.sh OUT_DIR [SECONDS]    (150 for each; the release build)
 # Plots go to OUT_DIR/NAME/tradeoff.svg; the tables, in Markdown, to standard output.
 set -eu
 cd "$(dirname "$0")/../.."
 out=$1
-seconds=${2:-180}
+seconds=${2:-150}
 bin=build/release/bin
 mkdir -p "$out"
-python3 scenes/make_sky.py "$bin/gen_mesh" "$out/scene" >/dev/null
+python3 scenes/make_sky.py "$bin/gen_mesh" "$out/scene" 64 >/dev/null
 
 study() { # NAME SCENE
     nice -n 5 "$bin/tilery" tradeoff "$2" -o "$out/$1" --budget "$seconds" --quiet 2>/dev/null
