@@ -7,6 +7,8 @@
 #ifndef TESTS_BENCH_TRACE_SCENE_H
 #define TESTS_BENCH_TRACE_SCENE_H
 
+#include <emmintrin.h>
+
 #include "scenes/gen_mesh.h"
 #include "worker/render/accel.h"
 
@@ -52,11 +54,17 @@ void trace_rays_release(struct trace_rays *r);
 /* The double form of ray i. */
 static inline struct ray trace_rays_get(const struct trace_rays *r, size_t i)
 {
-    const float *p = r->ray[i];
-    return (struct ray){{(double)p[0], (double)p[1], (double)p[2]},
-                        {(double)p[4], (double)p[5], (double)p[6]},
-                        (double)p[3],
-                        (double)p[7]};
+    __m128 org = _mm_loadu_ps(r->ray[i]), dir = _mm_loadu_ps(r->ray[i] + 4);
+    __m128d near = _mm_cvtps_pd(_mm_movehl_ps(org, org)),
+            far = _mm_cvtps_pd(_mm_movehl_ps(dir, dir));
+    struct ray out;
+    _mm_storeu_pd(out.org, _mm_cvtps_pd(org));
+    _mm_storeu_pd(out.dir, _mm_cvtps_pd(dir));
+    _mm_storel_pd(&out.org[2], near);
+    _mm_storel_pd(&out.dir[2], far);
+    _mm_storeh_pd(&out.tmin, near);
+    _mm_storeh_pd(&out.tmax, far);
+    return out;
 }
 
 #endif

@@ -279,12 +279,30 @@ static enum err copy_input(struct accel *a, const struct accel_input *input)
     return ERR_OK;
 }
 
+static enum err motions_make(struct accel *a)
+{
+    if (a->stats.instance_count == 0)
+        return ERR_OK;
+    a->motions = mem_alloc_aligned(a->object_count * sizeof *a->motions, 64);
+    if (!a->motions)
+        return ERR_NOMEM;
+    memset(a->motions, 0, a->object_count * sizeof *a->motions);
+    for (size_t i = 0; i < a->object_count; i++)
+        for (size_t k = 0; k < 12 && a->objects[i].type == ACCEL_INSTANCE; k++) {
+            a->motions[i].from_scene[k % 4][k / 4] = a->objects[i].from_scene[k];
+            if (k % 4 < 3)
+                a->motions[i].to_scene[k % 4][k / 4] = a->objects[i].to_scene[k];
+        }
+    return ERR_OK;
+}
+
 static enum err build(struct accel *a, const struct accel_input *input,
                       const struct accel_runner *runner)
 {
     a->scene_tree.root = BVH_EMPTY;
     TL_TRY(copy_input(a, input));
     TL_TRY(number_triangles(a));
+    TL_TRY(motions_make(a));
     TL_TRY(trees_build(a, runner));
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
@@ -330,6 +348,7 @@ void accel_free(struct accel *a)
     for (size_t i = 0; a->mesh_trees && i < a->mesh_count; i++)
         bvh_release(&a->mesh_trees[i]);
     mem_free(a->mesh_trees);
+    mem_free(a->motions);
     mem_free(a->triangle_first);
     mem_free(a->objects);
     mem_free(a->meshes);

@@ -24,13 +24,19 @@ struct trace_kernel {
 
 extern const struct trace_kernel trace_plain, trace_sse2, trace_avx2, trace_avx512;
 
+/* An instance's matrices by column, for whole vectors to be loaded. */
+struct accel_motion {
+    double from_scene[4][4], to_scene[3][4];
+} __attribute__((aligned(32)));
+
 struct accel {
     const struct trace_kernel *kernel;
     struct accel_options options;
     struct accel_mesh *meshes; /* copies of the input's arrays */
     struct accel_object *objects;
     size_t mesh_count, object_count;
-    uint32_t *triangle_first; /* object_count + 1: first number of an object's triangles */
+    struct accel_motion *motions; /* object_count; set for instances; NULL if there are none */
+    uint32_t *triangle_first;     /* object_count + 1: first number of an object's triangles */
     struct bvh scene_tree;
     struct bvh *mesh_trees; /* mesh_count; empty unless instanced */
     struct accel_stats stats;
@@ -39,15 +45,14 @@ struct accel {
 /* The object whose triangle has this number in the scene's tree. */
 static inline uint32_t accel_triangle_object(const struct accel *a, uint32_t number)
 {
-    size_t low = 0, high = a->object_count;
-    while (high - low > 1) {
-        size_t middle = low + (high - low) / 2;
-        if (a->triangle_first[middle] <= number)
-            low = middle;
-        else
-            high = middle;
+    /* As many steps whatever the number is: nothing for the processor to guess. */
+    const uint32_t *first = a->triangle_first;
+    for (size_t count = a->object_count; count > 1;) {
+        size_t half = count / 2;
+        first = first[half] <= number ? first + half : first;
+        count -= half;
     }
-    return (uint32_t)low;
+    return (uint32_t)(first - a->triangle_first);
 }
 
 /* Does (object, primitive) of a hit at the same t come before the best one's? */

@@ -1,12 +1,13 @@
 /* worker/render/trace.h: a ray made ready for a tree, and the kernels that walk it.
  *
- * Inside, a direction is scaled by a power of two so that its largest component is
- * in [1, 2); t is scaled to match, exactly. The float side of a ray carries the error
- * of float traversal: with u = 2^-24, R = |org|max + reach, each slab of a box is
- * widened by 8 u R, which covers the roundings of the origin, the reciprocal, the
- * products and sums, with or without fma, and of t (docs/TRACING.md derives it). A
- * box is culled only if the widened, rounded interval is empty or starts strictly
- * behind the best hit; an operand that is not a number never culls.
+ * Inside, a direction may be scaled by a power of two, and t to match, exactly: by SIMD
+ * kernels where its largest component is not within 2^20 of 1, by the others always, so
+ * that it is in [1, 2). The same hits come out either way. The float side of a ray carries the
+ * error of float traversal: with u = 2^-24, R = |org|max + reach, each slab of a box is widened by
+ * 8 u R, which covers the roundings of the origin, the reciprocal, the products and sums, with or
+ * without fma, and of t (docs/TRACING.md derives it). A box is culled only if the widened, rounded
+ * interval is empty or starts strictly behind the best hit; an operand that is not a number never
+ * culls.
  *
  * Thread: everything here lives on the caller's stack.
  */
@@ -15,20 +16,22 @@
 
 #include "worker/render/bvh.h"
 
+/* Arrays of four have an element of padding, for whole vectors to be stored. */
 struct trace_ray {
-    double org[3], dir[3];
-    double shear[3];         /* Woop's Sx, Sy, Sz */
-    double slack;            /* by which a hit point may leave its triangle's box: 2^-30 R */
+    double org[4], dir[4];
+    double porg[4], pdir[4]; /* permuted: the largest component of dir last */
+    double shear[4];         /* Woop's Sx, Sy, Sz */
+    float near_offset[4], far_offset[4], inverse[4]; /* t = plane * inverse - offset */
+    float filter_org[4], filter_shear[4];            /* permuted */
+    uint32_t row[4];  /* row of bvh_node.bounds with the near planes; row ^ 1 has the far ones */
+    uint32_t axis[4]; /* what was permuted to where */
+    double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R */
     double rescale, unscale; /* what dir was scaled by here, and its inverse */
-    double scale;     /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
-    uint32_t axis[3]; /* permuted: the largest component last */
-    uint32_t row[3];  /* row of bvh_node.bounds with the near planes; row ^ 1 has the far ones */
-    float near_offset[3], far_offset[3], inverse[3]; /* t = plane * inverse - offset */
-    float filter_org[3], filter_shear[3];            /* permuted like `axis` */
+    double scale; /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
     float filter_depth;               /* a triangle's depths are wrong by less than this in float */
     float filter_slope, filter_floor; /* of a block with edges <= e: an edge function's float error
                                          is below slope * e + floor */
-};
+} __attribute__((aligned(32)));
 
 /* The best hit so far. `object` is SCENE_NONE for a triangle of the scene's own tree,
  * whose `primitive` then counts through all its objects. */

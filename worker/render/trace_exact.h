@@ -32,13 +32,14 @@ struct exact_edges {
     double det;
 };
 
-static inline void exact_edges_of(const struct trace_ray *r, const float v[3][3],
-                                  struct exact_edges *e)
+/* `v` has its axes permuted as the ray's. */
+static inline void exact_edges_permuted(const struct trace_ray *r, const float v[3][3],
+                                        struct exact_edges *e)
 {
     double x[3], y[3];
     for (int i = 0; i < 3; i++) {
         for (int k = 0; k < 3; k++)
-            e->rel[i][k] = (double)v[i][r->axis[k]] - r->org[r->axis[k]];
+            e->rel[i][k] = (double)v[i][k] - r->porg[k];
         x[i] = e->rel[i][0] - r->shear[0] * e->rel[i][2];
         y[i] = e->rel[i][1] - r->shear[1] * e->rel[i][2];
     }
@@ -46,6 +47,25 @@ static inline void exact_edges_of(const struct trace_ray *r, const float v[3][3]
     e->v = x[0] * y[2] - y[0] * x[2];
     e->w = x[1] * y[0] - y[1] * x[0];
     e->det = (e->u + e->v) + e->w;
+}
+
+static inline void exact_edges_of(const struct trace_ray *r, const float v[3][3],
+                                  struct exact_edges *e)
+{
+    float permuted[3][3];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            permuted[i][k] = v[i][r->axis[k]];
+    exact_edges_permuted(r, permuted, e);
+}
+
+/* z of the hit, held within its vertices' depths. */
+static inline double exact_depth(const struct exact_edges *e)
+{
+    double zmin = exact_min(exact_min(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
+    double zmax = exact_max(exact_max(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
+    double z = ((e->u * e->rel[0][2] + e->v * e->rel[1][2]) + e->w * e->rel[2][2]) / e->det;
+    return exact_min(exact_max(z, zmin), zmax);
 }
 
 /* Moves t into the slab [lo, hi] / d; d == 0 leaves it (the slab then holds the origin). */
@@ -65,7 +85,7 @@ static inline bool exact_inside(const struct trace_ray *r, const struct exact_ed
     for (int k = 0; k < 2; k++) {
         double lo = exact_min(exact_min(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) - slack;
         double hi = exact_max(exact_max(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) + slack;
-        double p = t * r->dir[r->axis[k]];
+        double p = t * r->pdir[k];
         inside = inside && p >= lo && p <= hi;
     }
     return inside;
@@ -80,32 +100,31 @@ static inline bool exact_inside(const struct trace_ray *r, const struct exact_ed
  * does cross is met within its box. */
 static inline bool exact_t(const struct trace_ray *r, const struct exact_edges *e, double *out)
 {
-    double zmin = exact_min(exact_min(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
-    double zmax = exact_max(exact_max(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
-    double z = ((e->u * e->rel[0][2] + e->v * e->rel[1][2]) + e->w * e->rel[2][2]) / e->det;
-    double t = exact_min(exact_max(z, zmin), zmax) * r->shear[2];
+    double t = exact_depth(e) * r->shear[2];
     *out = t;
     if (exact_inside(r, e, t, r->slack))
         return true;
     for (int k = 0; k < 2; k++) {
         double lo = exact_min(exact_min(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) - r->slack;
         double hi = exact_max(exact_max(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) + r->slack;
-        t = exact_slab_clamp(t, lo, hi, r->dir[r->axis[k]]);
+        t = exact_slab_clamp(t, lo, hi, r->pdir[k]);
     }
-    t = exact_slab_clamp(t, zmin, zmax, r->dir[r->axis[2]]);
+    double zmin = exact_min(exact_min(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
+    double zmax = exact_max(exact_max(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
+    t = exact_slab_clamp(t, zmin, zmax, r->pdir[2]);
     *out = t;
     return exact_inside(r, e, t, 2.0 * r->slack);
 }
 
-static inline bool exact_woop(const struct trace_ray *r, const float v[3][3], double *t)
+static inline bool exact_woop(const struct trace_ray *r, const float v[3][3], struct exact_edges *e,
+                              double *t)
 {
-    struct exact_edges e;
-    exact_edges_of(r, v, &e);
-    bool negative = e.u < 0.0 || e.v < 0.0 || e.w < 0.0;
-    bool positive = e.u > 0.0 || e.v > 0.0 || e.w > 0.0;
-    if ((negative && positive) || e.det == 0.0)
+    exact_edges_of(r, v, e);
+    bool negative = e->u < 0.0 || e->v < 0.0 || e->w < 0.0;
+    bool positive = e->u > 0.0 || e->v > 0.0 || e->w > 0.0;
+    if ((negative && positive) || e->det == 0.0)
         return false;
-    return exact_t(r, &e, t);
+    return exact_t(r, e, t);
 }
 
 /* The source report's test, as it stands: Moeller and Trumbore in double with an

@@ -13,10 +13,11 @@ struct walk {
 static bool triangle_hit(const struct walk *w, const struct trace_ray *ray, const float v[3][3],
                          double *t)
 {
+    struct exact_edges edges;
     double b1, b2;
     if (w->accel->options.intersector == JOB_INTERSECTOR_MOLLER_TRUMBORE)
         return exact_moller_trumbore(ray, v, t, &b1, &b2);
-    return exact_woop(ray, v, t);
+    return exact_woop(ray, v, &edges, t);
 }
 
 static void offer_triangle(const struct walk *w, const struct trace_ray *ray, const float v[3][3],

@@ -1,9 +1,9 @@
 /* worker/render/trace_simd.h: the few vector words the kernels are written in.
  *
- * f8: eight floats (child boxes), f4: four floats (a block's filter), d4: four
- * doubles (a block's decision). Chosen by the instruction set the including file is
+ * f8: eight floats (child boxes), f4: four floats (a block's filter), and with AVX2 d4:
+ * four doubles (a ray's axes). Chosen by the instruction set the including file is
  * compiled for. f8 and f4 may fuse (their errors are bounded either way); d4 never
- * does, so its bits are the same everywhere. min and max are a < b ? a : b and
+ * does, so its bits are those of scalars. min and max are a < b ? a : b and
  * a > b ? a : b: an `a` that is not a number gives b.
  */
 #ifndef WORKER_RENDER_TRACE_SIMD_H
@@ -69,14 +69,6 @@ static inline d4 d4_splat(double x)
 {
     return _mm256_set1_pd(x);
 }
-static inline d4 d4_widen(const float *p)
-{
-    return _mm256_cvtps_pd(_mm_load_ps(p));
-}
-static inline void d4_store(double *p, d4 a)
-{
-    _mm256_store_pd(p, a);
-}
 static inline d4 d4_add(d4 a, d4 b)
 {
     return _mm256_add_pd(a, b);
@@ -93,17 +85,9 @@ static inline d4 d4_div(d4 a, d4 b)
 {
     return _mm256_div_pd(a, b);
 }
-static inline d4 d4_min(d4 a, d4 b)
-{
-    return _mm256_min_pd(a, b);
-}
 static inline d4 d4_max(d4 a, d4 b)
 {
     return _mm256_max_pd(a, b);
-}
-static inline d4 d4_or(d4 a, d4 b)
-{
-    return _mm256_or_pd(a, b);
 }
 static inline d4 d4_and(d4 a, d4 b)
 {
@@ -127,9 +111,6 @@ static inline unsigned d4_mask(d4 a)
 typedef struct {
     __m128 a, b;
 } f8;
-typedef struct {
-    __m128d a, b;
-} d4;
 
 #define PAIR(type, op, x, y) ((type){op((x).a, (y).a), op((x).b, (y).b)})
 
@@ -169,64 +150,6 @@ static inline f4 f4_mulsub(f4 a, f4 b, f4 c)
 static inline f4 f4_muladd(f4 a, f4 b, f4 c)
 {
     return _mm_add_ps(_mm_mul_ps(a, b), c);
-}
-static inline d4 d4_splat(double x)
-{
-    return (d4){_mm_set1_pd(x), _mm_set1_pd(x)};
-}
-static inline d4 d4_widen(const float *p)
-{
-    __m128 f = _mm_load_ps(p);
-    return (d4){_mm_cvtps_pd(f), _mm_cvtps_pd(_mm_movehl_ps(f, f))};
-}
-static inline void d4_store(double *p, d4 a)
-{
-    _mm_store_pd(p, a.a);
-    _mm_store_pd(p + 2, a.b);
-}
-static inline d4 d4_add(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_add_pd, a, b);
-}
-static inline d4 d4_sub(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_sub_pd, a, b);
-}
-static inline d4 d4_mul(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_mul_pd, a, b);
-}
-static inline d4 d4_div(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_div_pd, a, b);
-}
-static inline d4 d4_min(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_min_pd, a, b);
-}
-static inline d4 d4_max(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_max_pd, a, b);
-}
-static inline d4 d4_or(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_or_pd, a, b);
-}
-static inline d4 d4_and(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_and_pd, a, b);
-}
-static inline d4 d4_less(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_cmplt_pd, a, b);
-}
-static inline d4 d4_less_equal(d4 a, d4 b)
-{
-    return PAIR(d4, _mm_cmple_pd, a, b);
-}
-static inline unsigned d4_mask(d4 a)
-{
-    return (unsigned)_mm_movemask_pd(a.a) | (unsigned)_mm_movemask_pd(a.b) << 2;
 }
 #undef PAIR
 

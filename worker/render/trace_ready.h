@@ -1,0 +1,229 @@
+/* worker/render/trace_ready.h: a ray's way into and out of a kernel, in SIMD.
+ *
+ * What accel_ray, accel_instance_ray and accel_hit do, with a vector for the three axes:
+ * the same operations in each lane, so the same bits in all that decides; the float side
+ * is within the same bounds (trace.h). Without AVX2 those three are called. Included by
+ * trace_kernel.h alone. Pure; any thread.
+ */
+#ifndef WORKER_RENDER_TRACE_READY_H
+#define WORKER_RENDER_TRACE_READY_H
+
+#include "worker/render/accel_parts.h"
+#include <stddef.h>
+#include <string.h>
+
+#include "worker/render/trace_simd.h"
+
+#ifdef __AVX2__
+
+/* By the axis of the largest component: the double lanes x, y, z of the permuted space. */
+static const int32_t ready_lanes[3][8] __attribute__((aligned(32))) = {
+    {2, 3, 4, 5, 0, 1, 6, 7},
+    {4, 5, 0, 1, 2, 3, 6, 7},
+    {0, 1, 2, 3, 4, 5, 6, 7},
+};
+static const uint32_t ready_axis[3][4]
+    __attribute__((aligned(16))) = {{1, 2, 0, 0}, {2, 0, 1, 0}, {0, 1, 2, 0}};
+
+static inline d4 ready_permute(d4 a, __m256i lanes)
+{
+    return _mm256_castps_pd(_mm256_permutevar8x32_ps(_mm256_castpd_ps(a), lanes));
+}
+
+static inline d4 ready_abs(d4 a)
+{
+    return _mm256_andnot_pd(_mm256_set1_pd(-0.0), a);
+}
+
+/* The largest of lanes 0 to 2, in lanes 0 to 2. */
+static inline d4 ready_largest(d4 a)
+{
+    d4 b = _mm256_permute4x64_pd(a, _MM_SHUFFLE(3, 0, 2, 1));
+    d4 c = _mm256_permute4x64_pd(a, _MM_SHUFFLE(3, 1, 0, 2));
+    return d4_max(d4_max(a, b), c);
+}
+
+static inline double ready_double(uint64_t bits)
+{
+    double x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+/* Three numbers that the caller may just have stored one by one: a wider load would wait for
+ * the stores to reach the cache. The fourth lane is 0. */
+static inline d4 ready_load(const double p[3])
+{
+    __m128d xy = _mm_loadh_pd(_mm_load_sd(&p[0]), &p[1]);
+    return _mm256_insertf128_pd(_mm256_castpd128_pd256(xy), _mm_load_sd(&p[2]), 1);
+}
+
+/* The planes of boxes: near and far constants, and their rows. */
+static inline void ready_slabs(struct trace_ray *out, f4 org, f4 dir, f4 pad_size)
+{
+    const f4 sign = _mm_set1_ps(-0.0f);
+    f4 signs = _mm_and_ps(dir, sign);
+    f4 size = _mm_max_ps(_mm_andnot_ps(sign, dir), _mm_set1_ps(0x1p-80f));
+    f4 inverse = _mm_div_ps(_mm_set1_ps(1.0f), _mm_or_ps(size, signs));
+    f4 pad = _mm_or_ps(pad_size, signs);
+    _mm_store_ps(out->inverse, inverse);
+    _mm_store_ps(out->near_offset, _mm_mul_ps(_mm_add_ps(org, pad), inverse));
+    _mm_store_ps(out->far_offset, _mm_mul_ps(_mm_sub_ps(org, pad), inverse));
+    __m128i back = _mm_srli_epi32(_mm_castps_si128(dir), 31);
+    _mm_store_si128((__m128i *)out->row, _mm_add_epi32(back, _mm_setr_epi32(0, 2, 4, 0)));
+}
+
+/* trace_ray_init for a finite org, whose fourth lane, as dir's, may hold anything. */
+static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct trace_ray *out)
+{
+    const d4 infinite = d4_splat(__builtin_inf());
+    d4 size = ready_abs(dir), most = ready_largest(size);
+    unsigned finite = d4_mask(d4_and(d4_less(size, infinite), d4_less(ready_abs(org), infinite)));
+    unsigned largest = d4_mask(d4_less_equal(most, size)) & 7;
+    uint64_t bits = (uint64_t)_mm_cvtsi128_si64(_mm_castpd_si128(_mm256_castpd256_pd128(most)));
+    if ((finite & 7) != 7 || bits == 0)
+        return false;
+    uint32_t z = 31 - (uint32_t)__builtin_clz(largest);
+    /* Scaling changes no bit but where numbers get too large or small: most need none. */
+    uint64_t exponent = bits >> 52;
+    d4 scaled = dir;
+    out->rescale = out->unscale = 1.0;
+    out->scale = outer;
+    if (__builtin_expect(exponent - (1023 - 20) > 40, 0)) {
+        /* 2^(1023 - e) and its inverse are to be normal. */
+        exponent = exponent < 23 ? 23 : exponent > 2023 ? 2023 : exponent;
+        out->rescale = ready_double((2046 - exponent) << 52);
+        out->unscale = ready_double(exponent << 52);
+        out->scale = outer * out->rescale;
+        scaled = d4_mul(dir, d4_splat(out->rescale));
+    }
+    __m256i lanes = _mm256_load_si256((const __m256i *)ready_lanes[z]);
+    d4 porg = ready_permute(org, lanes), pdir = ready_permute(scaled, lanes);
+    d4 top = _mm256_blend_pd(pdir, d4_splat(1.0), 0xc);
+    d4 shear = d4_div(top, _mm256_permute4x64_pd(pdir, 0xaa));
+    _mm256_store_pd(out->org, org);
+    _mm256_store_pd(out->dir, scaled);
+    _mm256_store_pd(out->porg, porg);
+    _mm256_store_pd(out->pdir, pdir);
+    _mm256_store_pd(out->shear, shear);
+    _mm_store_si128((__m128i *)out->axis, _mm_load_si128((const __m128i *)ready_axis[z]));
+    d4 far = d4_add(ready_largest(ready_abs(org)), d4_splat(reach));
+    far = _mm256_permute4x64_pd(far, 0);
+    d4 bounds = d4_mul(far, _mm256_setr_pd(0x1p-30, 0x1p-20, 100.0 * 0x1p-24, 9.0 * 0x1p-24));
+    f4 bounds_f = _mm256_cvtpd_ps(bounds);
+    double reach_far = _mm256_cvtsd_f64(far);
+    out->slack = _mm256_cvtsd_f64(bounds);
+    out->filter_slope = _mm_cvtss_f32(_mm_movehl_ps(bounds_f, bounds_f));
+    out->filter_floor = (float)(256.0 * 0x1p-48 * reach_far * reach_far + 0x1p-140);
+    _mm_store_ps(out->filter_org, _mm256_cvtpd_ps(porg));
+    f4 filter_shear = _mm256_cvtpd_ps(shear), sz = _mm_movehl_ps(filter_shear, filter_shear);
+    _mm_store_ps(out->filter_shear, filter_shear);
+    out->filter_depth =
+        __builtin_fabsf(_mm_cvtss_f32(sz)) * _mm_cvtss_f32(_mm_movehdup_ps(bounds_f));
+    ready_slabs(out, _mm256_cvtpd_ps(org), _mm256_cvtpd_ps(scaled),
+                _mm_shuffle_ps(bounds_f, bounds_f, 0xff));
+    return true;
+}
+
+static inline bool ready_scene_ray(const struct accel *a, const struct ray *ray,
+                                   struct trace_ray *out, double *tmin, double *tmax)
+{
+    if (!(ray->tmin < ray->tmax) ||
+        !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0, a->scene_tree.reach, out))
+        return false;
+    *tmin = ray->tmin * out->unscale;
+    *tmax = ray->tmax * out->unscale;
+    return true;
+}
+
+/* accel_instance_ray */
+static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
+                                      const struct trace_ray *r, struct trace_ray *out)
+{
+    const double(*from)[4] = a->motions[object].from_scene;
+    const double *p = r->org, *v = r->dir;
+    d4 x = _mm256_load_pd(from[0]), y = _mm256_load_pd(from[1]), z = _mm256_load_pd(from[2]);
+    d4 org = d4_add(d4_mul(x, d4_splat(p[0])), d4_mul(y, d4_splat(p[1])));
+    org = d4_add(d4_add(org, d4_mul(z, d4_splat(p[2]))), _mm256_load_pd(from[3]));
+    d4 dir = d4_add(d4_mul(x, d4_splat(v[0])), d4_mul(y, d4_splat(v[1])));
+    dir = d4_add(dir, d4_mul(z, d4_splat(v[2])));
+    return ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, out);
+}
+
+static inline d4 ready_turn(const double to[3][4], d4 v)
+{
+    d4 x = d4_mul(_mm256_load_pd(to[0]), _mm256_permute4x64_pd(v, 0x00));
+    d4 y = d4_mul(_mm256_load_pd(to[1]), _mm256_permute4x64_pd(v, 0x55));
+    return d4_add(d4_add(x, y), d4_mul(_mm256_load_pd(to[2]), _mm256_permute4x64_pd(v, 0xaa)));
+}
+
+static inline d4 ready_cross(d4 a, d4 b)
+{
+    d4 c = d4_sub(d4_mul(a, _mm256_permute4x64_pd(b, _MM_SHUFFLE(3, 0, 2, 1))),
+                  d4_mul(_mm256_permute4x64_pd(a, _MM_SHUFFLE(3, 0, 2, 1)), b));
+    return _mm256_permute4x64_pd(c, _MM_SHUFFLE(3, 0, 2, 1));
+}
+
+/* A vertex of a triangle, given where its coordinates are. */
+static inline f4 ready_vertex(const float *x, const float *y, const float *z)
+{
+    f4 xy = _mm_insert_ps(_mm_load_ss(x), _mm_load_ss(y), 0x10);
+    return _mm_insert_ps(xy, _mm_load_ss(z), 0x20);
+}
+
+/* accel_hit */
+static inline void ready_hit(const struct accel *a, const struct trace_ray *r,
+                             const struct trace_best *best, struct hit *out)
+{
+    const struct bvh_leaf *leaf = best->leaf;
+    if (!leaf) {
+        accel_hit(a, r, best, out);
+        return;
+    }
+    d4 v[3];
+    for (int i = 0; i < 3; i++)
+        v[i] = _mm256_cvtps_pd(ready_vertex(&leaf->v[i][0][best->lane], &leaf->v[i][1][best->lane],
+                                            &leaf->v[i][2][best->lane]));
+    d4 e1 = d4_sub(v[1], v[0]), e2 = d4_sub(v[2], v[0]);
+    uint32_t object = best->object, primitive = best->primitive;
+    if (object == SCENE_NONE) {
+        object = accel_triangle_object(a, primitive);
+        primitive -= a->triangle_first[object];
+    } else {
+        e1 = ready_turn(a->motions[object].to_scene, e1);
+        e2 = ready_turn(a->motions[object].to_scene, e2);
+    }
+    out->t = best->t * r->scale;
+    _mm_storeu_pd(&out->b1, _mm_div_pd(_mm_setr_pd(best->v, best->w), _mm_set1_pd(best->det)));
+    _Static_assert(offsetof(struct hit, b2) == offsetof(struct hit, b1) + sizeof(double) &&
+                       offsetof(struct hit, object) == offsetof(struct hit, ng) + 24,
+                   "b1 and b2 in one store; the normal's fourth lane falls on what comes after");
+    _mm256_storeu_pd(out->ng, ready_cross(e1, e2));
+    out->object = object;
+    out->primitive = primitive;
+}
+
+#else
+
+static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
+                                      const struct trace_ray *r, struct trace_ray *out)
+{
+    double rescale;
+    return accel_instance_ray(a, object, r, out, &rescale);
+}
+
+static inline void ready_hit(const struct accel *a, const struct trace_ray *r,
+                             const struct trace_best *best, struct hit *out)
+{
+    accel_hit(a, r, best, out);
+}
+
+static inline bool ready_scene_ray(const struct accel *a, const struct ray *ray,
+                                   struct trace_ray *out, double *tmin, double *tmax)
+{
+    return accel_ray(a, ray, out, tmin, tmax);
+}
+
+#endif
+
+#endif
