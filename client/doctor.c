@@ -153,18 +153,20 @@ static void world_box(const struct scene_object *o, const struct doctor_mesh *m,
     }
 }
 
-/* Edges beside the two steps that the world gives them: double's own at that distance, and that
- * of the floats around the scene's centre in which the tracer holds vertices. */
+/* Edges beside the two steps that the world gives them: double's own at that distance, and
+ * that of the floats around the scene's centre in which the tracer holds vertices. */
 static void judge_steps(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
 {
     const double double_steps = 1e4, float_steps = 1e3;
     const struct scene_object *o = &v->scene->objects[object];
     bool mirrors;
-    double low[3], high[3], reach = 0, edge = m->edge_median * size_of(o, &mirrors);
+    double low[3], high[3], reach = 0, off = 0, edge = m->edge_median * size_of(o, &mirrors);
     world_box(o, m, low, high);
-    for (int k = 0; k < 3; k++)
+    for (int k = 0; k < 3; k++) {
         reach = fmax(reach, fmax(fabs(low[k]), fabs(high[k])));
-    double step = reach * 0x1p-53;
+        off = fmax(off, fmax(v->center[k] - low[k], high[k] - v->center[k]));
+    }
+    double step = reach * 0x1p-53, float_step = off * 0x1p-24;
     if (edge > 0 && edge < double_steps * step)
         place(v,
               doctor_add(v, "far-in-world", 1,
@@ -175,14 +177,14 @@ static void judge_steps(struct doctor_visit *v, uint32_t object, const struct do
               object, SCENE_NONE);
     bool instanced = v->uses[o->mesh] > 1 &&
                      v->scene->meshes[o->mesh].triangle_count >= DOCTOR_INSTANCE_TRIANGLES;
-    if (edge > 0 && edge < float_steps * v->step && !instanced)
+    if (edge > 0 && edge < float_steps * float_step && !instanced)
         place(v,
               doctor_add(v, "coarse-beside-scene", 1,
-                         "make what is largest (a ground, a sky dome) smaller, or use an "
-                         "environment_map for what is far",
-                         "half of the edges are shorter than about %.2g, and a scene %.3g across "
-                         "is held in steps of %.2g",
-                         edge, v->extent, v->step),
+                         "make what is largest (a ground, a sky dome) smaller or centre it here, "
+                         "or use an environment_map for what is far",
+                         "half of the edges are shorter than about %.2g, and %.3g from the middle "
+                         "of the scene vertices are held in steps of %.2g",
+                         edge, off, float_step),
               object, SCENE_NONE);
 }
 
@@ -259,8 +261,7 @@ static enum err visit_meshes(struct doctor_visit *v, struct doctor_mesh *meshes)
     return ERR_OK;
 }
 
-/* The box around everything, and the float step in it (worker/scene: scaled by a power of two, so
- * that half the largest extent is in [0.5, 1)). */
+/* The box around everything: its middle is the tracer's origin (worker/scene). */
 static void measure_scene(struct doctor_visit *v, const struct doctor_mesh *meshes)
 {
     double low[3] = {DBL_MAX, DBL_MAX, DBL_MAX}, high[3] = {-DBL_MAX, -DBL_MAX, -DBL_MAX};
@@ -279,10 +280,7 @@ static void measure_scene(struct doctor_visit *v, const struct doctor_mesh *mesh
         }
     }
     for (int k = 0; k < 3 && v->scene->object_count; k++)
-        v->extent = fmax(v->extent, high[k] - low[k]);
-    int exponent;
-    (void)frexp(0.5 * v->extent, &exponent);
-    v->step = v->extent > 0 ? ldexp(1, exponent - 24) : 0;
+        v->center[k] = 0.5 * low[k] + 0.5 * high[k];
 }
 
 enum err doctor_examine(const struct scene *s, const struct diag_list *loaded, struct doctor *out)

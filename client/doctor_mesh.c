@@ -126,6 +126,7 @@ static void count_at(struct doctor_count *c, uint32_t triangle)
 /* Lengths by powers of two: enough for a median to a factor of two. */
 struct lengths {
     uint64_t of[2200], total;
+    double unit; /* a power of two that brings the mesh to about 1: products stay in range */
 };
 
 static void add_length(struct lengths *l, double length2)
@@ -144,7 +145,7 @@ static double median_length(const struct lengths *l)
     for (int i = 0; i < 2200; i++) {
         seen += l->of[i];
         if (l->total && 2 * seen >= l->total)
-            return ldexp(0.75, i - 1100);
+            return ldexp(0.75, i - 1100) / l->unit;
     }
     return 0;
 }
@@ -159,7 +160,7 @@ static void measure_triangle(const struct scene_mesh *m, uint32_t t, struct leng
     for (size_t i = 0; i < 3; i++) {
         length2[i] = 0;
         for (int k = 0; k < 3; k++) {
-            e[i][k] = p[(i + 1) % 3][k] - p[i][k];
+            e[i][k] = (p[(i + 1) % 3][k] - p[i][k]) * lengths->unit;
             length2[i] += e[i][k] * e[i][k];
         }
         add_length(lengths, length2[i]);
@@ -169,7 +170,7 @@ static void measure_triangle(const struct scene_mesh *m, uint32_t t, struct leng
         int x = (k + 1) % 3, y = (k + 2) % 3;
         n[k] = e[0][x] * e[1][y] - e[0][y] * e[1][x];
         area2 += n[k] * n[k];
-        out->volume_signed += n[k] / 6 * (p[0][k] - out->low[k]);
+        out->volume_signed += n[k] / 6 * ((p[0][k] - out->low[k]) * lengths->unit);
     }
     double area = sqrt(area2);
     /* Below this the cross product is rounding alone. */
@@ -317,6 +318,12 @@ enum err doctor_mesh_measure(const struct scene_mesh *mesh, struct doctor_mesh *
     *out = (struct doctor_mesh){0};
     measure_bounds(mesh, out);
     measure_steps(mesh, out);
+    double extent = 0;
+    int exponent;
+    for (int k = 0; k < 3; k++)
+        extent = fmax(extent, out->high[k] - out->low[k]);
+    (void)frexp(extent, &exponent);
+    lengths->unit = ldexp(1, exponent > -1000 ? -exponent : 1000);
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         measure_triangle(mesh, t, lengths, out);
     out->edge_median = median_length(lengths);

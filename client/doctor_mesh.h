@@ -27,7 +27,7 @@ struct doctor_mesh {
                              the axis where it is coarsest; 0 where all numbers are round */
     double reach;         /* largest |coordinate| on that axis */
     double aspect_max;    /* of triangles with an area */
-    double volume_signed; /* enclosed, when closed; negative: inside out */
+    double volume_signed; /* enclosed, when closed, in some unit; negative: inside out */
     struct doctor_count flat;       /* no area: repeated or collinear corners */
     struct doctor_count needles;    /* over DOCTOR_NEEDLE_ASPECT */
     struct doctor_count duplicates; /* the same three corners as another triangle */

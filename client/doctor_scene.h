@@ -10,8 +10,8 @@
 struct doctor_visit {
     const struct scene *scene;
     struct doctor *out;
-    uint32_t *uses;      /* objects that show each mesh */
-    double extent, step; /* of the scene in the world, and the float step in it */
+    uint32_t *uses;   /* objects that show each mesh */
+    double center[3]; /* of the scene in the world */
     bool out_of_memory;
 };
 

@@ -79,6 +79,8 @@ def examine(folder, mesh=None, name="mesh.obj", material=None, light=None, **mor
 
 def test_good_scenes_are_good(tmp_path):
     assert examine(tmp_path, cube()) == {}
+    assert examine(tmp_path, cube(1e-310)).keys() <= {"coarse-beside-scene"}
+    assert examine(tmp_path, cube(1e140)).keys() <= {"coarse-beside-scene"}
     points, faces = ball()
     assert examine(tmp_path, float_ply(points, faces), "ball.ply").keys() <= {"flat-triangles"}
     for scene in ("veach", "two_spheres", "cbox_no_light", "sphere"):
@@ -123,6 +125,10 @@ def test_small_beside_scene(tmp_path):
     found = examine(tmp_path, cube(0.001), objects=[
         {"type": "sphere", "center": [0, -1e6, 0], "radius": 1e6 - 2, "material_name": "it"}])
     assert found["coarse-beside-scene"]["object"] == 1
+    # In the middle of the same ground floats are fine.
+    found = examine(tmp_path, cube(0.001), objects=[
+        {"type": "sphere", "center": [0, 0, 0], "radius": 1e6, "material_name": "it"}])
+    assert "coarse-beside-scene" not in found
 
 
 def test_shapes(tmp_path):
