@@ -69,7 +69,8 @@ function(numerics_pytest file)
 endfunction()
 
 if(TARGET tilery AND TARGET tilery-master AND TARGET tilery-worker)
-  tilery_script_test(numerics_doctor LABEL numerics TIMEOUT 300
+  # Also e2e: what runs under the sanitizers.
+  tilery_script_test(numerics_doctor LABEL "numerics;e2e" TIMEOUT 300
     COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider -k "not test_t04"
             ${numerics_dir}/test_numerics_doctor.py)
   numerics_pytest(test_numerics_doctor.py test_t04_lost_precision_is_said)
