@@ -434,6 +434,43 @@ static void tell_ply_colors(struct import *im, const char *data, size_t bytes)
         import_warn(im, "left-out", NULL, "colours of vertices are left out");
 }
 
+/* MeshLab's name of the picture: "comment TextureFile NAME", a line of the header. You own it;
+ * NULL: none, or out of memory. */
+static char *ply_texture_name(const char *data, size_t bytes)
+{
+    static const char key[] = "comment TextureFile ";
+    size_t head = bytes < 8192 ? bytes : 8192;
+    const char *end = memmem(data, head, "end_header", 10);
+    const char *at = end ? memmem(data, (size_t)(end - data), key, sizeof key - 1) : NULL;
+    if (!at)
+        return NULL;
+    at += sizeof key - 1;
+    size_t length = 0;
+    while (at + length < end && at[length] != '\n' && at[length] != '\r' && at[length] != '\0')
+        length++;
+    return length ? mem_sprintf("%.*s", (int)length, at) : NULL;
+}
+
+/* The picture that the file names for its coordinates. */
+static enum err ply_texture(struct import *im, const char *data, size_t bytes,
+                            struct scene_material *material)
+{
+    char *name = ply_texture_name(data, bytes);
+    if (!name)
+        return ERR_OK;
+    struct scene_texture t;
+    scene_texture_init(&t);
+    t.type = SCENE_TEXTURE_IMAGE;
+    enum err e = map_image(im, ".", name, IMAGE_COLOR, &t.image);
+    if (e == ERR_OK && t.image != SCENE_NONE) {
+        e = import_add_texture(im, &t, name, &material->texture);
+        for (int k = 0; k < 3; k++)
+            material->color[k] = 1;
+    }
+    mem_free(name);
+    return e;
+}
+
 enum err import_obj(struct import *im, const char *text, size_t bytes)
 {
     struct obj_model model;
@@ -459,8 +496,11 @@ enum err import_ply(struct import *im, const char *data, size_t bytes)
     scene_object_init(&object);
     TL_TRY(ply_read_mesh(data, bytes, im->path, &mesh, im->problems));
     tell_ply_colors(im, data, bytes);
+    bool has_uvs = mesh.uvs != NULL;
     TL_TRY(import_add_mesh(im, &mesh, &object.mesh));
     grey_material(&material);
+    if (has_uvs)
+        TL_TRY(ply_texture(im, data, bytes, &material));
     TL_TRY(import_add_material(im, &material, "default", &object.material));
     return import_add_object(im, &object);
 }

@@ -8,6 +8,7 @@
 #include "common/mem.h"
 #include "common/model_file.h"
 #include "common/number.h"
+#include "common/ply_wedge.h"
 #include "common/polygon.h"
 
 enum { PROPERTIES_MAX = 64, ELEMENTS_MAX = 32, WORD_BYTES = 64, LIST_COUNT_MAX = 1 << 20 };
@@ -26,6 +27,7 @@ struct property {
     enum role role; /* of a vertex */
     bool indices;   /* of a face: the list of its corners */
     bool strips;    /* "tristrips" */
+    bool wedges;    /* of a face: "texcoord", u and v of each corner */
 };
 
 struct element {
@@ -55,6 +57,11 @@ struct reader {
     uint32_t (*split)[3];
     size_t polygon_capacity;
     size_t degenerate_count;
+    bool has_wedges;
+    double *wedges; /* of the face being read */
+    size_t wedge_count, wedge_capacity;
+    float *corner_uvs; /* six per triangle, if has_wedges */
+    size_t corner_capacity;
 };
 
 static enum err problem(struct reader *r, const char *id, const char *text)
@@ -143,6 +150,8 @@ static enum err parse_property(struct reader *r, const struct words *w)
                 (strcmp(name, "vertex_indices") == 0 || strcmp(name, "vertex_index") == 0);
     p.strips = p.list && strcmp(e->name, "tristrips") == 0 &&
                (strcmp(name, "vertex_indices") == 0 || strcmp(name, "vertex_index") == 0);
+    p.wedges = p.list && strcmp(e->name, "face") == 0 && strcmp(name, "texcoord") == 0;
+    r->has_wedges |= p.wedges;
     e->properties[e->property_count++] = p;
     if (p.role != NONE)
         r->has[p.role] = true;
@@ -446,6 +455,40 @@ static enum err read_corners(struct reader *r, const struct element *e, uint64_t
     return p->strips ? add_strip(r) : add_polygon(r);
 }
 
+/* The numbers of a face's corner coordinates; how many fit its corners is seen later. */
+static enum err read_wedges(struct reader *r, const struct element *e, uint64_t index,
+                            const struct property *p, double count)
+{
+    for (double k = 0; k < count; k++) {
+        double value;
+        if (!take_value(r, p->type, &value))
+            return cut_short(r, e, index);
+        if (!mem_grow((void **)&r->wedges, r->wedge_count, &r->wedge_capacity, sizeof *r->wedges))
+            return ERR_NOMEM;
+        r->wedges[r->wedge_count++] = fabs(value) <= (double)FLT_MAX ? value : 0;
+    }
+    return ERR_OK;
+}
+
+/* Gives the triangles from `begin` on, those of one face, the coordinates of their corners; 0 where
+ * the face has none or another number of them. */
+static enum err put_wedges(struct reader *r, size_t begin)
+{
+    /* One polygon's triangles, and a pair for each of its corners: not so if it has two lists of
+     * them. */
+    bool known =
+        r->wedge_count == 2 * r->list_count && r->triangle_count - begin + 2 == r->list_count;
+    for (size_t t = begin; r->has_wedges && t < r->triangle_count; t++) {
+        if (!mem_grow((void **)&r->corner_uvs, t, &r->corner_capacity, 6 * sizeof *r->corner_uvs))
+            return ERR_NOMEM;
+        for (size_t k = 0; k < 6; k++) {
+            size_t from = known ? 2 * (size_t)r->split[t - begin][k / 2] + k % 2 : 0;
+            r->corner_uvs[6 * t + k] = known ? (float)r->wedges[from] : 0;
+        }
+    }
+    return ERR_OK;
+}
+
 static enum err read_list(struct reader *r, const struct element *e, uint64_t index,
                           const struct property *p)
 {
@@ -456,6 +499,8 @@ static enum err read_list(struct reader *r, const struct element *e, uint64_t in
         return problem(r, "ply-data", "a list has an impossible length");
     if ((p->indices || p->strips) && !r->skim_faces)
         return read_corners(r, e, index, p, count);
+    if (p->wedges && !r->skim_faces)
+        return read_wedges(r, e, index, p, count);
     for (double k = 0; k < count; k++)
         if (!take_value(r, p->type, &value))
             return cut_short(r, e, index);
@@ -466,6 +511,8 @@ static enum err read_other(struct reader *r, const struct element *e)
 {
     double value;
     for (uint64_t i = 0; e->property_count && i < e->count; i++) {
+        size_t begin = r->triangle_count;
+        r->list_count = r->wedge_count = 0;
         for (size_t j = 0; j < e->property_count; j++) {
             const struct property *p = &e->properties[j];
             if (p->list)
@@ -473,6 +520,7 @@ static enum err read_other(struct reader *r, const struct element *e)
             else if (!take_value(r, p->type, &value))
                 return cut_short(r, e, i);
         }
+        TL_TRY(put_wedges(r, begin));
         skip_rest_of_line(r);
     }
     return ERR_OK;
@@ -542,6 +590,8 @@ enum err ply_read_mesh(const char *data, size_t bytes, const char *file, struct 
     if (e == ERR_OK)
         e = judge(r);
     r->mesh.triangle_count = (uint32_t)r->triangle_count;
+    if (e == ERR_OK && r->has_wedges)
+        e = ply_split_corners(&r->mesh, r->corner_uvs);
     if (e == ERR_OK)
         *out = r->mesh;
     else
@@ -549,6 +599,8 @@ enum err ply_read_mesh(const char *data, size_t bytes, const char *file, struct 
     mem_free(r->list);
     mem_free(r->outline);
     mem_free(r->split);
+    mem_free(r->wedges);
+    mem_free(r->corner_uvs);
     mem_free(r);
     return e;
 }

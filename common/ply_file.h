@@ -1,9 +1,9 @@
 /* common/ply_file.h: PLY meshes: ascii, little and big endian, every scalar type.
  *
  * Vertices with x, y, z and optionally nx, ny, nz and u, v (also s, t, texture_u,
- * texture_v); faces as lists "vertex_indices" or "vertex_index", polygons split by ear
- * clipping, or "tristrips"; all other elements and properties are skipped. Coordinates
- * stay double. Pure apart from memory; one thread.
+ * texture_v), or "texcoord" of the faces' corners, which splits vertices; faces as lists
+ * "vertex_indices" or "vertex_index", polygons split by ear clipping, or "tristrips"; all other
+ * elements and properties are skipped. Coordinates stay double. Pure apart from memory; one thread.
  */
 #ifndef COMMON_PLY_FILE_H
 #define COMMON_PLY_FILE_H

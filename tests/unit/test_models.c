@@ -242,6 +242,44 @@ static void ply_gives_the_same_in_every_form(void **state)
     }
 }
 
+/* Coordinates of corners: a vertex is split where they differ, shared where they agree, dropped
+ * where no face has it. A polygon's go with its triangles; a face with too few gets zeros. */
+static void ply_corners_have_coordinates(void **state)
+{
+    (void)state;
+    static const char text[] =
+        "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 3\nproperty list uchar int vertex_indices\n"
+        "property list uchar float texcoord\nend_header\n"
+        "0 0 0\n1 0 0\n1 1 0\n0 1 0\n9 9 9\n0 0 1\n"
+        "4 0 1 2 3 8 .1 .2 .3 .4 .5 .6 .7 .8\n"
+        "3 0 1 5 6 .1 .2 .9 .9 .5 .5\n"
+        "3 0 2 5 2 1 1\n";
+    struct loaded l;
+    load_ply(&l, text, sizeof text - 1);
+    assert_int_equal(l.e, ERR_OK);
+    assert_int_equal(l.mesh.triangle_count, 4);
+    /* 0 and 1 come twice, 2 twice (zeros), 5 twice, 0 once more with zeros, 3 once; 4 is gone. */
+    assert_int_equal(l.mesh.vertex_count, 3 + 3 + 2 + 1);
+    assert_non_null(l.mesh.uvs);
+    static const float expected[4][3][2] = {
+        {{.1f, .2f}, {.3f, .4f}, {.5f, .6f}},
+        {{.1f, .2f}, {.5f, .6f}, {.7f, .8f}},
+        {{.1f, .2f}, {.9f, .9f}, {.5f, .5f}},
+        {{0, 0}, {0, 0}, {0, 0}},
+    };
+    for (size_t t = 0; t < 4; t++)
+        for (size_t k = 0; k < 3; k++) {
+            uint32_t v = l.mesh.indices[3 * t + k];
+            assert_true(v < l.mesh.vertex_count);
+            assert_memory_equal(l.mesh.uvs + 2 * v, expected[t][k], sizeof expected[t][k]);
+        }
+    /* Positions went with their vertices: the last face is 0, 2, 5. */
+    const double *p = l.mesh.positions + 3 * (size_t)l.mesh.indices[10];
+    assert_true(p[0] == 1 && p[1] == 1 && p[2] == 0);
+    unload(&l);
+}
+
 static void ply_problems_are_named(void **state)
 {
     (void)state;
@@ -359,6 +397,7 @@ int main(void)
         cmocka_unit_test(concave_polygons_are_cut_along_their_shape),
         cmocka_unit_test(hostile_polygons_end),
         cmocka_unit_test(ply_gives_the_same_in_every_form),
+        cmocka_unit_test(ply_corners_have_coordinates),
         cmocka_unit_test(ply_problems_are_named),
         cmocka_unit_test(ply_faces_may_come_first),
         cmocka_unit_test(memory_runs_out_cleanly),
