@@ -118,6 +118,7 @@ static void make_package(struct load *load)
 /* What ends the job; false: the status says why not. */
 static bool take_until(struct load *load, const struct cli_line *line)
 {
+    mem_free(load->plan_json);
     enum err e = until_apply(line, &load->spec, &load->plan_json, &load->problems);
     if (e != ERR_OK)
         load->status = e == ERR_USAGE ? EXIT_USAGE : err_exit_status(e);
@@ -171,7 +172,10 @@ int load_respec(struct load *load, const struct cli_line *line)
     diag_release(&load->problems);
     diag_init(&load->problems);
     load->spec = load->scene_spec;
+    load->status = EXIT_DONE;
     apply_options(load, line);
+    if (!take_until(load, line))
+        return load->status;
     if (!options_fit(load, line))
         return load->status = EXIT_USAGE;
     char *json = job_spec_to_json(&load->spec);

@@ -68,7 +68,7 @@ enum err sample_plan_read(struct json_get *g, const struct json *object, struct 
     if (!json_get_is(g, object, JSON_OBJECT))
         return ERR_INPUT;
     const struct json *inside = json_get_member(object, "plan");
-    if (!inside && json_get_member(object, "job")) {
+    if (inside ? inside->type == JSON_NULL : json_get_member(object, "job") != NULL) {
         json_get_problem(g, DIAG_ERROR, object, "bad-plan",
                          "plans are written by --target-error and --time-limit",
                          "a report without a plan: every pixel got the same");

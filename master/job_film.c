@@ -435,6 +435,8 @@ struct picture {
     struct farm *farm;
     uint64_t job;
     struct job_spec spec;
+    struct job_stats stats; /* of the report, when finished */
+    bool finished;
     struct job_blocks blocks;
     const struct film *film; /* the job's, or NULL: read from `path` */
     char *path;
@@ -496,19 +498,48 @@ static uint32_t aov_channels(uint32_t set)
     return count;
 }
 
+enum { ATTRIBUTES_MAX = 16 };
+
+static void add_number(struct exr_attribute *list, size_t *count, const char *name,
+                       enum exr_attribute_type type, double number)
+{
+    TL_ASSERT(*count < ATTRIBUTES_MAX);
+    list[(*count)++] = (struct exr_attribute){.name = name, .type = type, .number = number};
+}
+
+/* What the report says of samples and error; gives how many attributes there are then. */
+static size_t add_numbers(const struct picture *w, struct exr_attribute *list, size_t count)
+{
+    const struct job_stats *s = &w->stats;
+    if (w->spec.stop == JOB_STOP_SPP && w->spec.spp <= INT32_MAX)
+        add_number(list, &count, "tilery.spp", EXR_INT, (double)w->spec.spp);
+    if (w->finished)
+        add_number(list, &count, "tilery.sppMean", EXR_FLOAT, s->spp_mean);
+    if (!w->finished || !s->error_known)
+        return count;
+    add_number(list, &count, "tilery.relmse", EXR_FLOAT, s->relmse);
+    add_number(list, &count, "tilery.relmseLow", EXR_FLOAT, s->relmse_low);
+    add_number(list, &count, "tilery.relmseHigh", EXR_FLOAT, s->relmse_high);
+    add_number(list, &count, "tilery.meanLow", EXR_FLOAT, s->mean_low);
+    add_number(list, &count, "tilery.meanHigh", EXR_FLOAT, s->mean_high);
+    add_number(list, &count, "tilery.effectiveSize", EXR_FLOAT, s->effective);
+    add_number(list, &count, "tilery.heavyTail", EXR_INT,
+               s->relmse > 0 && s->effective < FILM_EFFECTIVE_MIN);
+    return count;
+}
+
 static enum err encode_exr(struct picture *w, const struct channels *channels)
 {
     const struct job_crop *crop = &w->spec.crop;
     bool half = w->format == PICTURE_EXR_HALF;
-    struct exr_attribute attributes[] = {
+    struct exr_attribute attributes[ATTRIBUTES_MAX] = {
         {.name = "software", .type = EXR_TEXT, .text = w->software},
         {.name = "tilery.job", .type = EXR_TEXT, .text = w->job_text},
         {.name = "tilery.name", .type = EXR_TEXT, .text = w->name},
         {.name = "tilery.seed", .type = EXR_TEXT, .text = w->seed},
         {.name = "tilery.sha256", .type = EXR_TEXT, .text = w->image},
-        {.name = "tilery.spp", .type = EXR_INT, .number = (double)w->spec.spp},
     };
-    size_t attribute_count = sizeof attributes / sizeof *attributes;
+    size_t attribute_count = add_numbers(w, attributes, 5);
     struct exr_picture picture = {
         .width = w->spec.width,
         .height = w->spec.height,
@@ -520,7 +551,7 @@ static enum err encode_exr(struct picture *w, const struct channels *channels)
         .channel_count = channels->count,
         .half_count = half ? FILM_CHANNELS : 0,
         .attributes = attributes,
-        .attribute_count = w->spec.spp <= INT32_MAX ? attribute_count : attribute_count - 1,
+        .attribute_count = attribute_count,
     };
     return exr_write(&picture, &w->file);
 }
@@ -598,6 +629,8 @@ enum err job_picture(struct farm *f, struct job *job, enum picture_format format
     w->farm = f;
     w->job = job->rec.id;
     w->spec = job->spec;
+    w->stats = job->rec.stats;
+    w->finished = job->rec.state == JOB_STATE_DONE;
     w->blocks = job->blocks;
     w->format = format;
     w->done = done;

@@ -1,0 +1,173 @@
+"""Renders to an error, within a time and by a plan: the same bits whoever renders and whoever is
+killed, and what stopped them is said."""
+import json
+import time
+
+import pytest
+
+import exr_pixels
+from farm import SEED_SCENE, SLOW, SCENES, Farm, clean_env, report_of, tilery
+
+SCENE = SCENES / "two_spheres.json"
+# A pilot, and some stages behind it.
+WORK = ("--size", "80x48", "--target-error", 0.06 if SLOW > 1 else 0.006)
+
+
+def render(folder, name, *options):
+    """The report and the picture of one render."""
+    done = tilery("render", SCENE, "-o", folder / f"{name}.exr", "--report",
+                  folder / f"{name}.json", "--quiet", *options, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return report_of(folder / f"{name}.json"), exr_pixels.rgb(folder / f"{name}.exr")
+
+
+@pytest.fixture(scope="module")
+def golden(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("golden")
+    report, rgb = render(folder, "a", *WORK)
+    return folder, report, rgb
+
+
+def test_target_error_says_what_it_did(golden):
+    """The claim, the plan and the numbers of samples agree with each other."""
+    _, report, _ = golden
+    assert report["stopped_by"] == "error"
+    error = report["error"]
+    assert 0 < error["relmse"] <= WORK[-1] and error["relmse_low"] <= error["relmse"]
+    assert error["effective_size"] >= 32 and error["heavy_tail"] is False
+    assert error["worst_cell"]["relmse"] > error["relmse"]
+    plan = report["plan"]
+    assert (plan["columns"], plan["rows"], plan["square"]) == (5, 3, 16)
+    assert len(plan["spp"]) == 15 and len(set(plan["spp"])) > 1, "all squares got the same"
+    assert min(plan["spp"]) == report["spp_min"] and max(plan["spp"]) == report["spp_max"]
+    assert report["spp_mean"] == pytest.approx(sum(plan["spp"]) / 15)
+    pilot = 16 * 80 * 48 if plan["pilot"] == "dropped" else 0
+    assert report["samples"] == sum(plan["spp"]) * 256 + pilot
+
+
+def test_the_same_bits_whoever_renders(golden, tmp_path):
+    _, report, _ = golden
+    other, _ = render(tmp_path, "b", *WORK, "--workers", 3, "--threads", 1, "--tile", 7)
+    assert other["image_sha256"] == report["image_sha256"]
+    assert other["plan"] == report["plan"]
+
+
+def test_a_plan_repeats_the_bits(golden, tmp_path):
+    """The report as a plan: the same picture, and the same part of it."""
+    folder, report, rgb = golden
+    size = ("--size", "80x48")
+    again, _ = render(tmp_path, "c", *size, "--plan", folder / "a.json", "--workers", 1)
+    assert again["image_sha256"] == report["image_sha256"]
+    assert again["stopped_by"] == "plan" and again["plan"] == report["plan"]
+    assert again["samples"] == sum(report["plan"]["spp"]) * 256, "the pilot was rendered again"
+    _, part = render(tmp_path, "d", *size, "--crop", "37,5,20,30", "--plan", folder / "a.json")
+    assert (part == rgb[5:35, 37:57]).all()
+
+
+def test_max_spp_stops(tmp_path):
+    report, _ = render(tmp_path, "e", "--size", "48x32", "--target-error", 1e-9, "--max-spp", 40)
+    assert report["stopped_by"] == "max-spp"
+    assert report["spp_max"] == 40 and report["spp_min"] == 40
+    done = tilery("render", SCENE, "-o", tmp_path / "f.exr", "--size", "48x32", "--target-error",
+                  1e-9, "--max-spp", 12, timeout=120)
+    assert done.returncode == 0 and "by --max-spp 12" in done.stderr
+
+
+def test_time_limit(tmp_path):
+    """Ends when it was asked to (the bound is wide: machines are busy), and can be repeated."""
+    began = time.monotonic()
+    report, _ = render(tmp_path, "g", "--size", "160x96", "--time-limit", 4)
+    assert report["stopped_by"] == "time"
+    assert 2 < report["seconds"]["total"] < 4 + 6 * SLOW
+    assert time.monotonic() - began < 20 + 20 * SLOW
+    again, _ = render(tmp_path, "h", "--size", "160x96", "--plan", tmp_path / "g.json")
+    assert again["image_sha256"] == report["image_sha256"]
+
+
+def test_killed_worker_and_master(golden, tmp_path):
+    """Killed in the pilot, between stages and later: the plan and the picture are the same."""
+    _, report, _ = golden
+    with Farm(tmp_path) as farm:
+        for _ in range(2):
+            farm.worker()
+        job = farm.submit(SCENE, *WORK)
+        for share in (0.0, 0.1, 0.3, 0.6):
+            try:
+                farm.wait_progress(job, share)
+            except AssertionError:
+                assert farm.job(job)["state"] == "done"
+                break
+            farm.kill_master()
+            farm.start_master()
+            farm.workers[0].kill()
+            farm.workers.pop(0)
+            farm.worker()
+        after = farm.wait_job(job, timeout=120)
+        assert after["image_sha256"] == report["image_sha256"]
+        assert after["plan"] == report["plan"]
+        # What is finished is told after a restart too.
+        farm.kill_master()
+        farm.start_master()
+        later = farm.job(job)
+        assert later["plan"] == report["plan"] and later["stopped_by"] == "error"
+        assert later["error"] == after["error"]
+
+
+def test_master_killed_under_a_time_limit(tmp_path):
+    with Farm(tmp_path) as farm:
+        farm.worker()
+        job = farm.submit(SCENE, "--size", "96x64", "--time-limit", 4)
+        farm.wait_progress(job, 0.4)
+        farm.kill_master()
+        farm.start_master()
+        report = farm.wait_job(job, timeout=60)
+        assert report["stopped_by"] == "time"
+        (tmp_path / "plan.json").write_text(json.dumps(report["plan"]))
+        again, _ = render(tmp_path, "i", "--size", "96x64", "--plan", tmp_path / "plan.json")
+        assert again["image_sha256"] == report["image_sha256"]
+
+
+def test_heavy_tail_is_said(tmp_path):
+    """A picture of a few groups of pixels cannot vouch for its error, and says so."""
+    done = tilery("render", SEED_SCENE, "-o", tmp_path / "j.exr", "--size", "8x8", "--spp", 8)
+    assert done.returncode == 0
+    assert "heavy tail: not to be trusted" in done.stderr
+    attributes, _ = exr_pixels.read(tmp_path / "j.exr")
+    assert attributes["tilery.relmse"][0] == "float"
+    assert attributes["tilery.heavyTail"] == ("int", b"\x01\0\0\0")
+
+
+BAD = {
+    "zero": (("--target-error", "0"), "over 0"),
+    "word": (("--target-error", "small"), "number"),
+    "negative": (("--time-limit", "-1"), "number"),
+    "both": (("--target-error", "1", "--time-limit", "3"), "do not go together"),
+    "spp": (("--spp", "8", "--time-limit", "3"), "do not go together"),
+    "max alone": (("--max-spp", "64"), "--target-error"),
+    "max small": (("--target-error", "1", "--max-spp", "3"), "from 4"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_values(tmp_path, name):
+    options, said = BAD[name]
+    done = tilery("render", SCENE, "-o", tmp_path / "x.exr", *options)
+    assert done.returncode == 2 and said in done.stderr, done.stderr
+
+
+def test_bad_plans(golden, tmp_path):
+    """A plan that is none is bad input; one of another picture is wrong usage."""
+    folder, report, _ = golden
+    plan = tmp_path / "plan.json"
+    for text, status, said in (("{", 3, "json-syntax"), ("{}", 3, "missing"),
+                               (json.dumps({"job": "j1", "plan": None}), 3, "plan"),
+                               (json.dumps({**report["plan"], "pilot": "lost"}), 3, "pilot"),
+                               (json.dumps({**report["plan"], "spp": [7] * 15}), 2, "bad-plan")):
+        plan.write_text(text)
+        done = tilery("render", SCENE, "-o", tmp_path / "x.exr", "--size", "80x48", "--plan", plan)
+        assert done.returncode == status and said in done.stderr, (text[:80], done.stderr)
+    done = tilery("render", SCENE, "-o", tmp_path / "x.exr", "--size", "200x48", "--plan",
+                  folder / "a.json", env=clean_env())
+    assert done.returncode == 2 and "square at pixel" in done.stderr
+    done = tilery("render", SCENE, "-o", tmp_path / "x.exr", "--plan", tmp_path / "none.json")
+    assert done.returncode == 3 and "none.json" in done.stderr
