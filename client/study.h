@@ -58,6 +58,7 @@ struct study_point {
     uint64_t spp;     /* most samples per pixel */
     double work;      /* expected cost in base renders */
     bool own;         /* the scene's own value of the knob: the base */
+    bool given_up;    /* it took far longer than expected, and is not tried again */
     bool half;        /* the base's pictures, rounded to half floats; nothing is rendered */
     uint64_t clamped; /* values that no half holds, of all repeats */
     bool median_tree; /* its set-up cost is the other builder's */

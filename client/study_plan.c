@@ -5,7 +5,12 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { BASE_SPP = 16, BASE_SPP_SMALL = 4, LADDER = 5 };
+enum {
+    BASE_SPP = 16,
+    BASE_SPP_SMALL = 4,
+    LADDER = 5,
+    ADAPTIVE_SPP = 16 /* the most a pixel gets, in samples of the base */
+};
 
 /* Work of the points beside the ladder, before they are known: enough for a first guess. */
 #define OTHER_POINTS 24.0
@@ -164,10 +169,14 @@ static void add_adaptive(struct study *s)
 {
     static const char *const labels[] = {"as base", "base / 4"};
     for (int i = 0; i < 2 && cli_options[CLI_TARGET_ERROR].built; i++) {
+        char most[STUDY_TEXT_BYTES];
         struct study_point *p = &s->points[s->point_count++];
         *p = (struct study_point){.knob = KNOB_ADAPTIVE, .work = i ? 4 : 1};
         (void)snprintf(p->label, sizeof p->label, "%s", labels[i]);
         study_point_set(p, CLI_TARGET_ERROR, "");
+        p->spp = s->base_spp * ADAPTIVE_SPP * (i ? 4 : 1);
+        (void)snprintf(most, sizeof most, "%" PRIu64, p->spp);
+        study_point_set(p, CLI_MAX_SPP, most);
     }
 }
 

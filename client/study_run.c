@@ -16,7 +16,8 @@ enum {
     PILOT_SIDE = 48,
     PILOT_RENDERS = 4,
     PLANS = 4,
-    TIMID = 2, /* a plan for half the speed is made again */
+    PATIENCE = 4, /* a point may take so many times what was expected */
+    TIMID = 3,    /* a plan for a third of the speed is made again */
     PILOT_SPP = 4,
     SETUP_REPEATS = 3,
     PRESET_REPEATS = 4,
@@ -29,6 +30,10 @@ enum {
 #define PILOT_SHARE 0.02
 /* Of what is left, for the references; a plan that needs more was too bold. */
 #define TRUTH_SHARE 0.35
+/* As long as so much of the budget is left, a timid plan is worth making again. */
+#define REPLAN_SHARE 0.8
+/* Of what is left, for the first two renders of one point. */
+#define POINT_SHARE 0.25
 /* Writing tables, plot and page. */
 #define CLOSING_S 0.8
 
@@ -236,7 +241,7 @@ static int take_half(struct run *r, const struct study_render *base)
 static bool ready(struct run *r, struct study_point *p)
 {
     const struct study_point *base = &r->s->points[r->s->base];
-    if (p->half)
+    if (p->half || p->given_up)
         return false;
     if (p->knob != KNOB_ADAPTIVE || p->settings[0].text[0])
         return true;
@@ -259,10 +264,15 @@ static int render_point(struct run *r, uint32_t i)
 {
     struct study_point *p = &r->s->points[i];
     struct study_render one;
+    double now_s = follow_now_s();
+    r->f->deadline_s =
+        fmin(r->end_s, now_s + PATIENCE * expected_s(r, i) + POINT_SHARE * (r->end_s - now_s));
     int status =
         render(r, p->settings, p->setting_count, r->s->width, r->s->height, p->repeats + 1, &one);
+    r->f->deadline_s = r->end_s;
+    p->given_up = status == STUDY_OUT_OF_TIME && follow_now_s() < r->end_s;
     if (status != EXIT_DONE)
-        return status;
+        return p->given_up ? EXIT_DONE : status;
     r->wall_s[i] = one.wall_s;
     if (i == r->s->base)
         status = take_half(r, &one);
@@ -292,7 +302,9 @@ static int rounds(struct run *r, uint32_t from, uint32_t to, uint32_t repeats, d
             if (p->repeats > round || !ready(r, p))
                 continue;
             any = true;
-            if (follow_now_s() + expected_s(r, i) > until_s)
+            double room_s = until_s - follow_now_s();
+            bool costly = p->repeats == 0 && 2 * expected_s(r, i) > POINT_SHARE * room_s;
+            if (expected_s(r, i) > room_s || (costly && i != r->s->base))
                 continue;
             status = render_point(r, i);
         }
@@ -350,10 +362,12 @@ static int plan_and_truth(struct run *r, const struct job_spec *spec)
         status = render_truth(r, spec);
         r->f->deadline_s = r->end_s;
         double speed = truth_samples(r->s) / (follow_now_s() - begun_s);
-        bool timid = status == EXIT_DONE && speed > TIMID * pilot.samples_s && !at_most(r->s);
+        bool timid = status == EXIT_DONE && speed > TIMID * pilot.samples_s && !at_most(r->s) &&
+                     left_s(r) > REPLAN_SHARE * r->s->budget_s;
         if (status != STUDY_OUT_OF_TIME && !timid)
             break;
-        pilot.samples_s = timid ? speed : pilot.samples_s / 4;
+        /* What was just seen may be a calm moment: half of it. */
+        pilot.samples_s = timid ? speed / 2 : pilot.samples_s / 4;
         if (timid && i + 1 < PLANS)
             study_truth_release(&r->s->truth);
     }
@@ -371,7 +385,10 @@ static int run_all(struct run *r, const struct job_spec *spec)
     progress_event(r->f->progress, line, follow_now_s());
     uint32_t points = r->s->point_count;
     double until_s = follow_now_s() + ROUNDS_SHARE * left_s(r);
-    status = rounds(r, 0, points, STUDY_REPEATS_MAX, until_s);
+    /* Without the base nothing can be said. */
+    status = rounds(r, r->s->base, r->s->base + 1, 2, r->end_s);
+    if (status == EXIT_DONE)
+        status = rounds(r, 0, points, STUDY_REPEATS_MAX, until_s);
     if (status != EXIT_DONE)
         return status;
     add_presets(r);
