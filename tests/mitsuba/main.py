@@ -122,12 +122,15 @@ def bench(options):
     # Roulette after five edges, Mitsuba's default; it is the faster choice.
     scene = mi.load_dict(scene_map.dict(sampler=options.sampler, rr_depth=5))
     dr.set_thread_count(options.threads)
-    # Kernels are compiled for each sample count of a pass: not counted.
-    np.array(mi.render(scene, spp=4, seed=0))
+    known = set()
     reply.write(b"ready\n")
     reply.flush()
     for line in sys.stdin:
         spp, seed = (int(word) for word in line.split())
+        # A kernel is compiled for each number of samples: not counted.
+        if spp not in known:
+            np.array(mi.render(scene, spp=spp, seed=seed + 1))
+            known.add(spp)
         begin, begin_cpu = time.monotonic(), time.process_time()
         picture = np.array(mi.render(scene, spp=spp, seed=seed), dtype=np.float32)
         reply.write(f"{time.monotonic() - begin} {time.process_time() - begin_cpu}\n".encode())
