@@ -23,13 +23,14 @@ def gain(p):
     return text + (f", bias² {figure(p['bias2'])}" if biased else "")
 
 
-def cell(p):
+def cell(p, base):
     if p is None or p["repeats"] < 2:
         return ""
-    if p["base"]:
-        return "base"
     if p["knob"] == "output":
-        return f"{figure(p['file_bytes'] / 1000)} kB"
+        change = p["relmse"]["value"] / base["relmse"]["value"] - 1
+        return f"{figure(p['file_bytes'] / base['file_bytes'])} of the bytes, relMSE {change:+.1e} of it"
+    if p["knob"] == "target-error":
+        return gain(p) + f", mean {p['spp_mean']:.0f} spp"
     return gain(p) + (", same bits" if p["same_bits"] else "")
 
 
@@ -56,8 +57,8 @@ def main():
     knobs = list(dict.fromkeys(k for k, _ in seen))
     seen.sort(key=lambda k: (knobs.index(k[0]), float(k[1]) if k[1].replace(".", "").isdigit() else 0))
     for knob, value in seen:
-        cells = [cell(next((p for p in s["points"] if (p["knob"], p["value"]) == (knob, value)), None))
-                 for _, s in studies]
+        cells = [cell(next((p for p in s["points"] if (p["knob"], p["value"]) == (knob, value)), None),
+                      next(p for p in s["points"] if p["base"])) for _, s in studies]
         print(f"| {knob} {value} | " + " | ".join(cells) + " |")
     for level in range(3):
         cells = []
