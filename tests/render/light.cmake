@@ -15,6 +15,10 @@ tilery_test(test_scene_build LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_build.c ${render_kit})
 tilery_test(test_light_tree LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_light_tree.c ${render_kit})
+tilery_test(test_shade LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_shade.c ${render_kit})
+tilery_test(test_integrators LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_integrators.c ${render_kit})
 tilery_test(test_aov LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_aov.c ${render_kit})
 tilery_test(test_mitsuba LABEL render TIMEOUT 600 LINKS tl_worker m

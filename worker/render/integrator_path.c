@@ -103,7 +103,7 @@ static void connect_lights(const struct render_scene *scene, struct render_scrat
     rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
     if (rgb_is_black(f))
         return;
-    double weight = 1 / light.pdf;
+    double weight = shade_tilt_shadowing(at, light.wi, wi.z) / light.pdf;
     if (!light.delta && scene->spec.profile == JOB_PROFILE_MIS)
         weight *= power_heuristic(light.pdf, pdf);
     rgb arriving = rgb_scale(rgb_mul(rgb_mul(f, light.radiance), path->beta), weight);
@@ -151,7 +151,8 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
         *wi = v3_unit(*wi);
     if (!shade_is_consistent(at, *wi, sample.wi.z))
         return false;
-    path->beta = rgb_mul(path->beta, sample.weight);
+    double left = shade_tilt_shadowing(at, *wi, sample.wi.z);
+    path->beta = rgb_mul(path->beta, rgb_scale(sample.weight, left));
     path->eta2 *= sample.eta2;
     path->pdf = delta ? 0 : sample.pdf;
     path->org = at->surface.p;

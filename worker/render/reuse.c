@@ -106,7 +106,8 @@ static void connect(struct reuse_connections *c, const struct reuse *reuse, uint
     c->from[at] = from;
     c->to[at] = to;
     c->pdf[at] = pdf * geometry;
-    c->factor[at] = rgb_scale(rgb_mul(f, a->beta_x), geometry);
+    double left = shade_tilt_shadowing(&a->x, wi, local.z);
+    c->factor[at] = rgb_scale(rgb_mul(f, a->beta_x), geometry * left);
     struct ray *ray = &c->rays[at];
     vec3 org = surface_offset(x->p, x->ng, x->error, wi);
     v3_put(ray->org, org);

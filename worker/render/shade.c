@@ -62,6 +62,25 @@ double shade_opacity(const struct render_scene *scene, const struct hit *hit)
     return m->alpha_cutoff < 0 ? alpha : alpha >= m->alpha_cutoff;
 }
 
+/* The squared roughness of facets of which a tilt by that cosine is the usual one (eq. 6). */
+static double tilt_alpha2(double cosine)
+{
+    double cos2 = cosine * cosine;
+    double alpha2 = 0.125 * (1 - cos2) / cos2;
+    return alpha2 > 0 ? (alpha2 < 1 ? alpha2 : 1) : cos2 > 0 ? 0 : 1;
+}
+
+double shade_tilt_shadowing(const struct shade *s, vec3 wi, double wi_local_z)
+{
+    if (!(s->tilt_alpha2 > 0) || wi_local_z * s->wo.z < 0)
+        return 1;
+    double cosine = v3_dot(s->smooth, wi), cos2 = cosine * cosine;
+    if (!(cos2 > 0))
+        return 0;
+    double tan2 = cos2 < 1 ? (1 - cos2) / cos2 : 0;
+    return 2 / (1 + sqrt(1 + s->tilt_alpha2 * tan2));
+}
+
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
                   struct shade *out)
 {
@@ -69,6 +88,8 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     struct surface *s = &out->surface;
     const struct material *m = &scene->materials[s->material];
     vec3 wo = v3_neg(dir);
+    out->smooth = s->ns;
+    out->tilt_alpha2 = 0;
     if (m->normal_texture != SCENE_NONE)
         s->ns = mapped_normal(scene, m, s);
     /* A shading normal seen from behind where the surface is seen from the front, or the other
@@ -76,6 +97,8 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     out->bent = (v3_dot(wo, s->ns) > 0) != (v3_dot(wo, s->ng) > 0);
     if (out->bent)
         s->ns = s->ng;
+    else if (m->normal_texture != SCENE_NONE)
+        out->tilt_alpha2 = tilt_alpha2(v3_dot(out->smooth, s->ns));
     out->frame = m->is_anisotropic ? frame_along(s->ns, s->dpdu) : frame_of(s->ns);
     out->wo = frame_to_local(&out->frame, wo);
     out->bsdf.material = m;

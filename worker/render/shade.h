@@ -11,8 +11,10 @@ struct shade {
     struct surface surface;
     frame frame; /* n is the shading normal */
     struct bsdf bsdf;
-    vec3 wo;   /* local */
-    bool bent; /* the shading normal was of no use, the geometric one stands for it */
+    vec3 wo;            /* local */
+    bool bent;          /* the shading normal was of no use, the geometric one stands for it */
+    vec3 smooth;        /* the normal before a normal map tilted it */
+    double tilt_alpha2; /* roughness that goes with that tilt, squared; 0: none */
 };
 
 /* How opaque the surface is at a hit, 0 to 1. */
@@ -21,6 +23,13 @@ double shade_opacity(const struct render_scene *scene, const struct hit *hit);
 /* `dir` is the unit direction of the ray that hit. */
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
                   struct shade *out);
+
+/* What a normal map's tilt leaves of light reflected to or from wi (scene space): 1 without one.
+ * Facets tilted as a map tilts them hide each other at grazing directions; without this a tilted
+ * normal ends in a hard edge where wi sinks below the surface (Conty Estevez, Lecocq and Stein
+ * 2019, "A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem"). A
+ * factor of the scattering function, whichever technique finds wi. Tests: test_shade. */
+double shade_tilt_shadowing(const struct shade *s, vec3 wi, double wi_local_z);
 
 /* True if wi (scene space) lies on the same side of shading and geometric normal, so that a
  * reflection stays a reflection and a transmission one. */
