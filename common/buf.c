@@ -46,6 +46,8 @@ unsigned char *buf_extend(struct buf *b, size_t bytes)
         b->data = data;
         b->capacity = capacity;
     }
+    if (!b->data)
+        return NULL; /* nothing was asked of an empty one */
     unsigned char *at = b->data + b->bytes;
     b->bytes += bytes;
     return at;

@@ -87,6 +87,24 @@ void provenance_reset(struct provenance *p, uint32_t cell_begin, uint32_t cell_c
     p->check_count = kept;
 }
 
+void provenance_widen(const struct provenance *p, uint32_t *cell_begin, uint32_t *cell_count)
+{
+    uint32_t begin = *cell_begin, end = begin + *cell_count;
+    for (bool wider = true; wider;) {
+        wider = false;
+        for (size_t i = 0; i < p->check_count; i++) {
+            uint32_t from = p->checks[i].cell_begin, to = from + p->checks[i].cell_count;
+            if (from >= end || to <= begin || (from >= begin && to <= end))
+                continue;
+            begin = from < begin ? from : begin;
+            end = to > end ? to : end;
+            wider = true;
+        }
+    }
+    *cell_begin = begin;
+    *cell_count = end - begin;
+}
+
 bool provenance_touched(const struct provenance *p, uint32_t worker, uint32_t cell)
 {
     for (size_t block = 0; block < p->block_count; block++)

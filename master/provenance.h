@@ -36,6 +36,9 @@ void provenance_note(struct provenance *p, struct unit run, uint32_t worker,
                      const uint64_t *cell_hash);
 /* Forgets all blocks of these cells, and the checks that touch them. */
 void provenance_reset(struct provenance *p, uint32_t cell_begin, uint32_t cell_count);
+/* Widens a run of cells to all of each open check that it touches: what is left of a unit whose
+ * check a reset ends would never be checked. */
+void provenance_widen(const struct provenance *p, uint32_t *cell_begin, uint32_t *cell_count);
 /* Did this worker give any block of the cell? */
 bool provenance_touched(const struct provenance *p, uint32_t worker, uint32_t cell);
 

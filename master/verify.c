@@ -141,9 +141,13 @@ static uint32_t reset_touched(struct farm *f, struct job *job, uint64_t worker)
         while (cell < job->grid.cell_count &&
                provenance_touched(&job->provenance, (uint32_t)worker, cell))
             cell++;
-        if (cell > begin)
-            reset_run(f, job, begin, cell - begin);
-        cells += cell - begin;
+        if (cell == begin)
+            continue;
+        uint32_t count = cell - begin;
+        provenance_widen(&job->provenance, &begin, &count);
+        reset_run(f, job, begin, count);
+        cells += count;
+        cell = begin + count - 1;
     }
     if (cells > 0)
         jobs_log(f, job, "w%" PRIu64 " lied and is set aside; %" PRIu32 " cells start again",

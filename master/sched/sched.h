@@ -122,7 +122,8 @@ enum sched_event_type {
     SCHED_JOB_REMOVE,   /* forget the job; its memory is the caller's again once sched_next was
                            drained */
     /* .unit: these cells start again from .unit.block on: a liar touched them (block 0), or what
-     * was accepted could not be stored. Results accepted for them are forgotten. */
+     * was accepted could not be stored. Results accepted for them are forgotten, and checks that
+     * touch them end: give whole units of open checks, or their other cells go unchecked. */
     SCHED_CELLS_RESET,
 
     SCHED_WORKER_PAST,  /* .past: what is known of an unknown worker; before its JOIN */

@@ -301,6 +301,8 @@ void book_reset(struct sim *sim, uint32_t job, uint32_t cell_begin, uint32_t cel
 /* Writes what is no result down, and takes it into the book. */
 void book_note(struct sim *sim, const struct sched_action *a, enum sim_note note);
 bool book_lied(const struct sim *sim, uint64_t handle);
+/* As provenance_widen. */
+void book_widen(const struct sim_job *j, uint32_t *cell_begin, uint32_t *cell_count);
 bool book_touched(const struct sim_job *j, uint32_t cell, uint64_t handle);
 void book_committed(struct sim *sim, size_t end);
 void book_crash(struct sim *sim);   /* tears what is not durable */

@@ -238,6 +238,21 @@ bool book_lied(const struct sim *sim, uint64_t handle)
     return false;
 }
 
+void book_widen(const struct sim_job *j, uint32_t *cell_begin, uint32_t *cell_count)
+{
+    uint32_t begin = *cell_begin, end = begin + *cell_count;
+    for (size_t i = 0; i < j->check_count; i++) {
+        uint32_t from = j->checks[i].cell_begin, to = from + j->checks[i].cell_count;
+        if (from >= end || to <= begin || (from >= begin && to <= end))
+            continue;
+        begin = from < begin ? from : begin;
+        end = to > end ? to : end;
+        i = SIZE_MAX; /* what was wide enough before may touch it now: from the first again */
+    }
+    *cell_begin = begin;
+    *cell_count = end - begin;
+}
+
 bool book_touched(const struct sim_job *j, uint32_t cell, uint64_t handle)
 {
     for (uint32_t b = 0; b < j->blocks; b++) {

@@ -128,12 +128,15 @@ static void reset_touched(struct sim *sim, uint32_t job, uint64_t handle, bool t
             cell++;
         if (cell == begin)
             continue;
-        book_reset(sim, job, begin, cell - begin);
+        uint32_t count = cell - begin;
+        book_widen(j, &begin, &count);
+        cell = begin + count - 1;
+        book_reset(sim, job, begin, count);
         if (tell)
-            feed_later(sim, (struct sched_event){
-                                .type = SCHED_CELLS_RESET,
-                                .job = j->id,
-                                .unit = {.cell_begin = begin, .cell_count = cell - begin}});
+            feed_later(sim,
+                       (struct sched_event){.type = SCHED_CELLS_RESET,
+                                            .job = j->id,
+                                            .unit = {.cell_begin = begin, .cell_count = count}});
     }
 }
 

@@ -83,6 +83,23 @@ static void test_reset_ends_checks_that_touch(void **state)
     provenance_release(&p);
 }
 
+static void test_widened_to_whole_checks(void **state)
+{
+    (void)state;
+    struct provenance p;
+    make(&p); /* 2..4 */
+    assert_int_equal(provenance_open_check(&p, (struct unit){4, 4, 0}), ERR_OK);
+    uint32_t begin = 7, count = 2;
+    provenance_widen(&p, &begin, &count); /* 7..8 -> 4..8 -> 2..8 */
+    assert_int_equal(begin, 2);
+    assert_int_equal(count, 7);
+    begin = 8, count = 2;
+    provenance_widen(&p, &begin, &count);
+    assert_int_equal(begin, 8);
+    assert_int_equal(count, 2);
+    provenance_release(&p);
+}
+
 static void test_saved_and_read_again(void **state)
 {
     (void)state;
@@ -138,6 +155,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_whose_bits),
         cmocka_unit_test(test_reset_ends_checks_that_touch),
+        cmocka_unit_test(test_widened_to_whole_checks),
         cmocka_unit_test(test_saved_and_read_again),
         cmocka_unit_test(test_empty),
     };
