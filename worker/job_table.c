@@ -24,8 +24,8 @@ struct job_table {
 static void drop_scene(struct job_table *t, struct worker_job *job)
 {
     TL_ASSERT(job->state == WORKER_JOB_READY && t->scene_bytes >= job->loaded.scene_bytes);
-    t->scene_bytes -= job->loaded.scene_bytes;
-    render_scene_free(job->loaded.scene);
+    if (render_scene_free(job->loaded.scene)) /* else other jobs still share it */
+        t->scene_bytes -= job->loaded.scene_bytes;
     job->loaded = (struct loaded_scene){0};
     job->state = WORKER_JOB_IDLE;
 }
@@ -123,8 +123,51 @@ static struct worker_job *find_any(struct job_table *t, uint64_t id)
     return NULL;
 }
 
+/* Gives the job the scene that another job on the same package has built, if it can use it. */
+static bool share(struct job_table *t, struct worker_job *job)
+{
+    struct worker_job *other;
+    TAILQ_FOREACH(other, &t->jobs, in_jobs)
+    {
+        struct render_scene *scene;
+        if (other->state != WORKER_JOB_READY || !digest_equal(&other->package, &job->package) ||
+            render_scene_share(other->loaded.scene, &job->spec, &scene) != ERR_OK)
+            continue;
+        job->loaded =
+            (struct loaded_scene){.scene = scene, .scene_bytes = other->loaded.scene_bytes};
+        job->state = WORKER_JOB_READY;
+        job->used = ++t->clock;
+        log_info("job", "scene shared job=%" PRIu64 " with=%" PRIu64, job->id, other->id);
+        return true;
+    }
+    return false;
+}
+
+static void tell_ready(struct job_table *t, struct worker_job *job)
+{
+    say_ready(t, job);
+    t->handlers.ready(t->ctx, job);
+}
+
+/* The scene just built serves those that wait for the same package, too. */
+static void share_with_waiting(struct job_table *t)
+{
+    struct worker_job *job;
+    TAILQ_FOREACH(job, &t->jobs, in_jobs)
+    {
+        if (job->state != WORKER_JOB_LOADING || job->gone || !share(t, job))
+            continue;
+        scene_fetcher_cancel(t->loader, job->id);
+        tell_ready(t, job);
+    }
+}
+
 static void load(struct job_table *t, struct worker_job *job)
 {
+    if (share(t, job)) {
+        tell_ready(t, job);
+        return;
+    }
     enum err e = scene_fetcher_start(t->loader, job->id, &job->package, &job->spec);
     job->state = WORKER_JOB_LOADING;
     if (e != ERR_OK)
@@ -137,7 +180,7 @@ static void on_finished(void *ctx, uint64_t id, enum err error, const char *text
     struct job_table *t = ctx;
     struct worker_job *job = find_any(t, id);
     if (!job || job->state != WORKER_JOB_LOADING) {
-        render_scene_free(scene->scene);
+        (void)render_scene_free(scene->scene);
         return;
     }
     if (error != ERR_OK) {
@@ -155,8 +198,8 @@ static void on_finished(void *ctx, uint64_t id, enum err error, const char *text
     job->users++; /* not the one to go */
     make_room(t);
     job->users--;
-    say_ready(t, job);
-    t->handlers.ready(t->ctx, job);
+    tell_ready(t, job);
+    share_with_waiting(t);
 }
 
 static bool on_request(void *ctx, const digest *chunk)

@@ -1,7 +1,8 @@
 /* worker/job_table.h: the jobs a worker has been told of, and their scenes.
  *
  * A job's scene is loaded when the job is announced, and again when a lease comes for
- * a job whose scene was dropped. Scenes stay, beyond the end of their job and beyond a
+ * a job whose scene was dropped. A job on a package that another job has built shares its tables
+ * and tree, and is ready at once. Scenes stay, beyond the end of their job and beyond a
  * connection, until memory is wanted: over scene_bytes_max, those without
  * leases go, ended jobs first, then the one used longest ago.
  *

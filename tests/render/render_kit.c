@@ -280,11 +280,19 @@ struct kit_picture kit_render(const struct scene *s, const struct job_spec *spec
                               uint32_t cells_per_unit)
 {
     struct render_scene *scene;
-    struct render_scratch *scratch;
-    struct grid grid;
     enum err e = scene_build(s, spec, NULL, &scene);
     TL_ASSERT(e == ERR_OK);
-    e = render_scratch_new(&scratch);
+    struct kit_picture p = kit_render_built(scene, spec, cells_per_unit);
+    (void)render_scene_free(scene);
+    return p;
+}
+
+struct kit_picture kit_render_built(const struct render_scene *scene, const struct job_spec *spec,
+                                    uint32_t cells_per_unit)
+{
+    struct render_scratch *scratch;
+    struct grid grid;
+    enum err e = render_scratch_new(&scratch);
     TL_ASSERT(e == ERR_OK);
     e = grid_init(&grid, spec);
     TL_ASSERT(e == ERR_OK);
@@ -309,7 +317,6 @@ struct kit_picture kit_render(const struct scene *s, const struct job_spec *spec
     mem_free(rgb);
     grid_release(&grid);
     render_scratch_free(scratch);
-    render_scene_free(scene);
     return p;
 }
 

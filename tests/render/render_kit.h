@@ -41,6 +41,9 @@ struct kit_picture {
 /* Renders the whole crop in units of `cells_per_unit` (0: all in one). */
 struct kit_picture kit_render(const struct scene *s, const struct job_spec *spec,
                               uint32_t cells_per_unit);
+/* The same of a scene that is built for the spec. */
+struct kit_picture kit_render_built(const struct render_scene *scene, const struct job_spec *spec,
+                                    uint32_t cells_per_unit);
 void kit_picture_free(struct kit_picture *p);
 
 /* Mean over the picture and channels. */

@@ -279,6 +279,65 @@ static void every_allocation_may_fail(void **state)
     scene_release(&s);
 }
 
+/* What another job may change and still share: each in turn. */
+static void change(struct job_spec *spec, int what)
+{
+    switch (what) {
+    case 0:
+        spec->width = spec->crop.width = 20;
+        break;
+    case 1:
+        spec->spp = 3;
+        spec->seed = 7;
+        break;
+    case 2:
+        spec->max_depth = 2;
+        spec->rr_threshold = 0;
+        break;
+    case 3:
+        spec->integrator = JOB_INTEGRATOR_AO;
+        break;
+    case 4:
+        spec->filter = JOB_FILTER_GAUSSIAN;
+        spec->filter_radius = 1.5;
+        break;
+    case 5:
+        spec->sampler = JOB_SAMPLER_HALTON;
+        break;
+    default:
+        spec->profile = JOB_PROFILE_NEE;
+    }
+}
+
+/* A job that shares has the picture it would have alone, also when the first job is gone. */
+static void shared_scenes_change_no_bit(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_cornell(&s, KIT_BOXES | KIT_AREA_LIGHT | KIT_GLASS_SPHERE);
+    for (int what = 0; what < 7; what++) {
+        struct job_spec spec = kit_spec(16, 4), other = spec;
+        struct render_scene *first, *second, *third;
+        change(&other, what);
+        assert_int_equal(scene_build(&s, &spec, NULL, &first), ERR_OK);
+        assert_int_equal(render_scene_share(first, &other, &second), ERR_OK);
+        assert_false(render_scene_free(first));
+        assert_int_equal(render_scene_share(second, &other, &third), ERR_OK);
+        assert_false(render_scene_free(second));
+        struct kit_picture alone = kit_render(&s, &other, 0);
+        struct kit_picture shared = kit_render_built(third, &other, 0);
+        assert_memory_equal(alone.mean, shared.mean,
+                            (size_t)alone.width * alone.height * 3 * sizeof *alone.mean);
+        other.builder = JOB_BUILDER_MEDIAN;
+        assert_int_equal(render_scene_share(third, &other, &first), ERR_VERSION);
+        assert_true(render_scene_free(third));
+        kit_picture_free(&alone);
+        kit_picture_free(&shared);
+    }
+    scene_release(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -290,6 +349,7 @@ int main(void)
         cmocka_unit_test(nothing_at_all_is_black),
         cmocka_unit_test(an_extent_beyond_double_is_refused),
         cmocka_unit_test(every_allocation_may_fail),
+        cmocka_unit_test(shared_scenes_change_no_bit),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -62,6 +62,11 @@ struct render_scene {
     struct light_table lights;
     const uint32_t *object_lights;
 
+    /* Jobs on one scene share all but spec, camera and filter (scene_build.h). */
+    struct render_scene *owner; /* of the arena and the tree; NULL: this one */
+    uint32_t sharers;           /* of the owner: how many refer to it, itself included */
+    struct scene_camera scene_camera;
+
     bool has_alpha; /* some surface lets light through: shadow rays must look */
     vec3 seed_light_position;
     rgb seed_light_flux;

@@ -32,6 +32,23 @@ out:
     return e;
 }
 
+/* What the size and the film of the job decide. */
+static void aim(struct render_scene *rs)
+{
+    camera_init(&rs->camera, &rs->scene_camera, rs->spec.width, rs->spec.height, rs->center,
+                rs->scale);
+    film_filter_init(&rs->filter, &rs->spec);
+}
+
+/* True if scene_build would make the same tables and the same tree: what it reads of the spec but
+ * for aim. */
+static bool same_tables(const struct job_spec *a, const struct job_spec *b)
+{
+    return a->builder == b->builder && a->intersector == b->intersector &&
+           a->precision == b->precision && a->light_choice == b->light_choice &&
+           aov_has(a->aov, AOV_UV) == aov_has(b->aov, AOV_UV);
+}
+
 static enum err build(struct render_scene *rs, const struct scene *scene,
                       const struct accel_runner *runner)
 {
@@ -40,9 +57,8 @@ static enum err build(struct render_scene *rs, const struct scene *scene,
     TL_TRY(scene_build_geometry(rs, scene));
     TL_TRY(scene_build_materials(rs, scene));
     TL_TRY(scene_build_lights(rs, scene));
-    camera_init(&rs->camera, &scene->camera, rs->spec.width, rs->spec.height, rs->center,
-                rs->scale);
-    film_filter_init(&rs->filter, &rs->spec);
+    rs->scene_camera = scene->camera;
+    aim(rs);
     vec3 light = v3_sub(v3_of(scene->seed_light_position), v3_of(rs->center));
     rs->seed_light_position = v3_scale(light, rs->scale);
     rs->seed_light_flux = rgb_scale(rgb_of(scene->seed_light_flux), rs->scale * rs->scale);
@@ -56,6 +72,7 @@ enum err scene_build(const struct scene *scene, const struct job_spec *spec,
     if (!rs)
         return ERR_NOMEM;
     arena_init(&rs->arena);
+    rs->sharers = 1;
     rs->spec = *spec;
     enum err e = build(rs, scene, runner);
     if (e != ERR_OK) {
@@ -66,14 +83,39 @@ enum err scene_build(const struct scene *scene, const struct job_spec *spec,
     return ERR_OK;
 }
 
-void render_scene_free(struct render_scene *rs)
+enum err render_scene_share(struct render_scene *rs, const struct job_spec *spec,
+                            struct render_scene **out)
+{
+    struct render_scene *owner = rs->owner ? rs->owner : rs;
+    if (!same_tables(&rs->spec, spec))
+        return ERR_VERSION;
+    struct render_scene *view = mem_alloc(sizeof *view);
+    if (!view)
+        return ERR_NOMEM;
+    *view = *owner;
+    view->owner = owner;
+    view->spec = *spec;
+    aim(view);
+    owner->sharers++;
+    *out = view;
+    return ERR_OK;
+}
+
+bool render_scene_free(struct render_scene *rs)
 {
     if (!rs)
-        return;
-    if (rs->accel)
-        accel_free(rs->accel);
-    arena_release(&rs->arena);
-    mem_free(rs);
+        return false;
+    struct render_scene *owner = rs->owner ? rs->owner : rs;
+    TL_ASSERT(owner->sharers > 0);
+    if (rs != owner)
+        mem_free(rs);
+    if (--owner->sharers > 0)
+        return false;
+    if (owner->accel)
+        accel_free(owner->accel);
+    arena_release(&owner->arena);
+    mem_free(owner);
+    return true;
 }
 
 size_t render_scene_bytes(const struct render_scene *rs)

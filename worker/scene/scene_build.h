@@ -21,7 +21,15 @@
 TL_NODISCARD enum err scene_build(const struct scene *scene, const struct job_spec *spec,
                                   const struct accel_runner *runner, struct render_scene **out);
 
-void render_scene_free(struct render_scene *rs);
+/* The scene of another job on the same package: all tables and the tree are shared, only what
+ * depends on size, film and sampling is made anew. ERR_VERSION: the job needs other tables or
+ * another tree, build it; ERR_NOMEM. Who shares and who frees is one thread. Test:
+ * test_scene_build. */
+TL_NODISCARD enum err render_scene_share(struct render_scene *rs, const struct job_spec *spec,
+                                         struct render_scene **out);
+
+/* The last that shares frees what is shared; true if this was the last. */
+bool render_scene_free(struct render_scene *rs);
 
 /* Memory held, tree included. */
 size_t render_scene_bytes(const struct render_scene *rs);

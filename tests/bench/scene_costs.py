@@ -1,0 +1,131 @@
+#!/usr/bin/env python3
+"""Measures what a scene costs: bytes sent, memory, the second job, the start. Prints the tables of docs/SPECIALISE.md.
+
+usage: scene_costs.py BIN_DIR [MODELS_DIR]
+
+BIN_DIR is bin/ of a release build; MODELS_DIR holds models to be explained (obj/, ply/, gltf/). The farm binds
+loopback and keeps its data in a temporary folder.
+"""
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+MODELS = ["obj/spot/spot_triangulated.obj", "obj/spaceship/red.obj", "obj/c-ray/teapot.obj", "ply/trimesh/fixed_top.ply",
+          "gltf/FlightHelmet-small/FlightHelmet.gltf", "gltf/SheenChair/glTF/SheenChair.gltf",
+          "gltf/Avocado/glTF/Avocado.gltf", "gltf/AlphaBlendModeTest/glTF-Binary/AlphaBlendModeTest.glb"]
+RUNS = 11
+
+
+def run(*command, **more):
+    return subprocess.run([str(c) for c in command], check=True, capture_output=True, text=True, **more)
+
+
+def explain(bin_dir, path):
+    return json.loads(run(bin_dir / "tilery", "explain", path, "--json").stdout)
+
+
+def models(bin_dir, folder):
+    print("| model | triangles | source | plain, all | left out | sent | sent / source | memory a triangle |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|")
+    for name in MODELS:
+        path = folder / name
+        if not path.exists():
+            continue
+        e = explain(bin_dir, path)
+        b, n = e["bytes"], e["triangles_instanced"]
+        print(f"| {path.name} | {n:,} | {b['source']:,} | {b['plain'] + b['left_out']:,} | {b['left_out']:,} | {b['package']:,} "
+              f"| {b['package'] / b['source']:.2f} | {(b['tree'] + b['geometry']) / n:.0f} |")
+
+
+def ball_scene(bin_dir, folder, side):
+    run(bin_dir / "gen_mesh", "ball", side, 0.1, folder / "ball.ply")
+    scene = folder / "ball.json"
+    scene.write_text(json.dumps({
+        "integrator": {"type": "path", "spp": 1}, "film": {"resolution": [64, 64]},
+        "camera": {"position": [0, 0, 3], "look_at": [0, 0, 0], "ref_up": [0, 1, 0], "fov": 40},
+        "textures": {"grey": {"type": "constant", "color": [0.5, 0.5, 0.5]}},
+        "materials": {"m": {"type": "diffuse", "texture_name": "grey"}},
+        "objects": [{"type": "mesh", "path": "ball.ply", "material_name": "m"},
+                    {"type": "sphere", "center": [3, 5, 4], "radius": 1,
+                     "light": {"type": "area", "radiance": [20, 20, 20]}}]}))
+    return scene
+
+
+class Farm:
+    """A master, and workers that come and go, sharing one cache folder."""
+
+    def __init__(self, bin_dir, folder):
+        self.bin, self.folder = bin_dir, folder
+        self.master = self.start("tilery-master", "--listen", "127.0.0.1:0", "--http", "127.0.0.1:0", "--data", folder / "data")
+        bound = json.loads(self.master.stdout.readline())
+        self.listen = bound["listen"]
+        self.environment = {**os.environ, "TILERY_MASTER": f"http://{bound['http']}"}
+
+    def start(self, program, *arguments):
+        return subprocess.Popen([str(self.bin / program), *map(str, arguments)], stdout=subprocess.PIPE, text=True,
+                                stderr=subprocess.DEVNULL)
+
+    def worker(self):
+        worker = self.start("tilery-worker", "--master", self.listen, "--threads", "2", "--cache", self.folder / "cache")
+        worker.stdout.readline()
+        return worker
+
+    def job(self, scene, *options):
+        job = run(self.bin / "tilery", "submit", scene, *options, env=self.environment).stdout.strip()
+        run(self.bin / "tilery", "watch", job, env=self.environment)
+        return json.loads(run(self.bin / "tilery", "status", job, "--json", env=self.environment).stdout)
+
+
+def second_job(bin_dir, folder):
+    scene = ball_scene(bin_dir, folder, 290)
+    farm = Farm(bin_dir, folder)
+    print(f"\nA ball of {12 * 290 * 290:,} triangles, one worker of two threads:\n")
+    print("| job | scene bytes sent | load s | build s | total s |")
+    print("|---|---:|---:|---:|---:|")
+
+    def row(name, report):
+        s = report["seconds"]
+        print(f"| {name} | {report['bytes']['scene_sent']:,} | {s['load'] or 0:.3f} | {s['build'] or 0:.3f} | {s['total']:.3f} |")
+
+    worker = farm.worker()
+    row("first", farm.job(scene))
+    row("second, other seed", farm.job(scene, "--seed", "2"))
+    row("third, other size", farm.job(scene, "--size", "96x48"))
+    worker.terminate()
+    worker.wait()
+    worker = farm.worker()
+    row("after a restart of the worker", farm.job(scene, "--seed", "3"))
+    for program in (worker, farm.master):
+        program.terminate()
+        program.wait()
+
+
+def start(bin_dir, folder):
+    scene = pathlib.Path(__file__).resolve().parents[2] / "scenes" / "cbox.json"
+    wall, cpu = [], []
+    for _ in range(RUNS):
+        before, began = os.times(), time.perf_counter()
+        run(bin_dir / "tilery", "render", scene, "-o", folder / "o.exr", "--spp", "1", "--size", "64x64", "--quiet")
+        wall.append(time.perf_counter() - began)
+        after = os.times()
+        cpu.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    print(f"\n`tilery render` of the Cornell box at 64x64, 1 spp, of {RUNS} runs: least {1e3 * min(wall):.0f} ms, median "
+          f"{1e3 * statistics.median(wall):.0f} ms; processor time of all four processes, median {1e3 * statistics.median(cpu):.0f} ms")
+
+
+def main():
+    bin_dir = pathlib.Path(sys.argv[1]).resolve()
+    if len(sys.argv) > 2:
+        models(bin_dir, pathlib.Path(sys.argv[2]))
+    with tempfile.TemporaryDirectory() as folder:
+        second_job(bin_dir, pathlib.Path(folder))
+        start(bin_dir, pathlib.Path(folder))
+
+
+if __name__ == "__main__":
+    main()
