@@ -39,6 +39,7 @@ struct entry {
 struct chunk_cache {
     pthread_mutex_t lock;
     char *folder; /* NULL: in memory */
+    struct tree_cache *trees;
     uint64_t bytes, bytes_max, generation;
     TAILQ_HEAD(, entry) ages; /* oldest use first */
     LIST_HEAD(, entry) buckets[BUCKETS];
@@ -235,6 +236,8 @@ enum err chunk_cache_new(const char *folder, uint64_t bytes_max, struct chunk_ca
     if (folder) {
         c->folder = mem_strdup(folder);
         enum err e = c->folder ? take_stock(c) : ERR_NOMEM;
+        if (e == ERR_OK)
+            e = tree_cache_new(folder, bytes_max, &c->trees);
         if (e != ERR_OK) {
             chunk_cache_free(c);
             return e;
@@ -251,8 +254,14 @@ void chunk_cache_free(struct chunk_cache *c)
     while (!TAILQ_EMPTY(&c->ages))
         discard(c, TAILQ_FIRST(&c->ages));
     (void)pthread_mutex_destroy(&c->lock);
+    tree_cache_free(c->trees);
     mem_free(c->folder);
     mem_free(c);
+}
+
+struct tree_cache *chunk_cache_trees(struct chunk_cache *c)
+{
+    return c->trees;
 }
 
 void chunk_cache_begin(struct chunk_cache *c)

@@ -16,6 +16,7 @@
 
 #include "common/buf.h"
 #include "common/digest.h"
+#include "worker/tree_cache.h"
 
 struct chunk_cache; /* opaque */
 
@@ -42,6 +43,9 @@ TL_NODISCARD enum err chunk_cache_put(struct chunk_cache *c, const digest *name,
  * ERR_NOMEM, ERR_IO. */
 TL_NODISCARD enum err chunk_cache_get(struct chunk_cache *c, const digest *name,
                                       uint64_t raw_bytes_max, struct buf *out);
+
+/* The trees kept beside the chunks, bounded by as much again; NULL in memory. */
+struct tree_cache *chunk_cache_trees(struct chunk_cache *c);
 
 /* Of all chunks, as stored. */
 uint64_t chunk_cache_bytes(struct chunk_cache *c);

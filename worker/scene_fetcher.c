@@ -1,9 +1,11 @@
 #include "worker/scene_fetcher.h"
 
+#include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
 
+#include "common/log.h"
 #include "common/mem.h"
 #include "common/package.h"
 
@@ -50,7 +52,18 @@ struct load {
     struct buf root, chunk;
     struct package_index index;
     struct render_scene *scene;
+    char *saved_tree;            /* what the cache found, while building */
+    struct tree_write *new_tree; /* to be written behind the build; or NULL */
     TAILQ_ENTRY(load) in_loads;
+};
+
+/* A tree on its way to the cache: nobody waits for it. */
+struct tree_write {
+    struct pool_task task;
+    struct scene_fetcher *loader;
+    digest key;
+    struct buf file;
+    TAILQ_ENTRY(tree_write) in_trees;
 };
 
 /* A request that the master has not answered yet; `load` NULL: of a load that is no more. */
@@ -71,6 +84,7 @@ struct scene_fetcher {
     struct asked asked[ASKED_MAX];
     uint64_t asked_bytes;
     TAILQ_HEAD(, store) stores;
+    TAILQ_HEAD(, tree_write) trees;
 };
 
 /* A chunk on its way to the cache. */
@@ -99,8 +113,17 @@ static void ask(struct scene_fetcher *l);
 
 /* --- The end of a load ------------------------------------------------------------ */
 
+static void free_tree(struct tree_write *w)
+{
+    if (!w)
+        return;
+    buf_release(&w->file);
+    mem_free(w);
+}
+
 static void free_load(struct load *load)
 {
+    free_tree(load->new_tree);
     buf_release(&load->root);
     buf_release(&load->chunk);
     package_index_release(&load->index);
@@ -214,6 +237,49 @@ static enum err fetch_chunk(void *ctx, size_t i, const struct package_index_entr
     return ERR_OK;
 }
 
+static bool find_tree(void *ctx, const digest *key, const void **data, size_t *bytes)
+{
+    struct load *load = ctx;
+    struct tree_cache *trees = chunk_cache_trees(load->loader->cache);
+    return tree_cache_get(trees, key, &load->saved_tree, data, bytes) == ERR_OK;
+}
+
+static void drop_tree(void *ctx, const digest *key)
+{
+    struct load *load = ctx;
+    log_warn("cache", "tree dropped: it is not what was built job=%" PRIu64, load->job);
+    tree_cache_drop(chunk_cache_trees(load->loader->cache), key);
+}
+
+/* A copy: the scene may be gone before a slow disk has it. No memory for one: not kept. */
+static void keep_tree(void *ctx, const digest *key, const struct accel *accel)
+{
+    struct load *load = ctx;
+    struct tree_write *w = mem_calloc(1, sizeof *w);
+    if (!w)
+        return;
+    w->loader = load->loader;
+    w->key = *key;
+    buf_init(&w->file);
+    tree_cache_head(&w->file);
+    unsigned char *at = buf_extend(&w->file, accel_trees_bytes(accel));
+    if (at) {
+        accel_trees_save(accel, at);
+        load->new_tree = w;
+    } else {
+        free_tree(w);
+    }
+}
+
+static void run_tree_write(struct pool_task *task, uint32_t thread)
+{
+    (void)thread;
+    struct tree_write *w = (struct tree_write *)task;
+    enum err e = tree_cache_put(chunk_cache_trees(w->loader->cache), &w->key, &w->file);
+    if (e != ERR_OK)
+        log_warn("cache", "tree not kept: the folder cannot take it error=%s", err_name(e));
+}
+
 static void run_build(struct pool_task *task, uint32_t thread)
 {
     (void)thread;
@@ -231,7 +297,13 @@ static void run_build(struct pool_task *task, uint32_t thread)
         struct accel_runner runner = {.run = pool_run,
                                       .ctx = load->loader->pool,
                                       .thread_count = pool_thread_count(load->loader->pool)};
-        load->error = scene_build(&scene, &load->spec, &runner, &load->scene);
+        struct scene_trees trees = {
+            .find = find_tree, .drop = drop_tree, .keep = keep_tree, .ctx = load};
+        bool kept = chunk_cache_trees(load->loader->cache) != NULL;
+        load->error =
+            scene_build_kept(&scene, &load->spec, &runner, kept ? &trees : NULL, &load->scene);
+        mem_free(load->saved_tree);
+        load->saved_tree = NULL;
         load->build_seconds = now_seconds() - read;
     }
     scene_release(&scene);
@@ -300,9 +372,29 @@ static void done_open(struct pool_task *task)
     ask(l);
 }
 
+static void done_tree_write(struct pool_task *task)
+{
+    struct tree_write *w = (struct tree_write *)task;
+    TAILQ_REMOVE(&w->loader->trees, w, in_trees);
+    free_tree(w);
+}
+
+static void write_tree(struct load *load)
+{
+    struct tree_write *w = load->new_tree;
+    if (!w)
+        return;
+    load->new_tree = NULL;
+    w->task =
+        (struct pool_task){.run = run_tree_write, .done = done_tree_write, .kind = POOL_SERVICE};
+    TAILQ_INSERT_TAIL(&w->loader->trees, w, in_trees);
+    pool_submit(w->loader->pool, &w->task);
+}
+
 static void done_build(struct pool_task *task)
 {
     struct load *load = (struct load *)task;
+    write_tree(load);
     if (!load->cancelled && load->chunk_lost) {
         open_again(load);
         return;
@@ -537,6 +629,7 @@ enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
     *l = (struct scene_fetcher){.pool = pool, .cache = cache, .handlers = *handlers, .ctx = ctx};
     TAILQ_INIT(&l->loads);
     TAILQ_INIT(&l->stores);
+    TAILQ_INIT(&l->trees);
     *out = l;
     return ERR_OK;
 }
@@ -555,6 +648,11 @@ void scene_fetcher_free(struct scene_fetcher *l)
         TAILQ_REMOVE(&l->stores, s, in_stores);
         mem_free(s->frame);
         mem_free(s);
+    }
+    while (!TAILQ_EMPTY(&l->trees)) {
+        struct tree_write *w = TAILQ_FIRST(&l->trees);
+        TAILQ_REMOVE(&l->trees, w, in_trees);
+        free_tree(w);
     }
     mem_free(l);
 }

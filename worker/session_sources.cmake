@@ -1,4 +1,4 @@
 # What surrounds the tracing core in a worker process; read by CMakeLists.txt beside it.
 set(session_sources
-  chunk_cache.c job_table.c pool.c scene_fetcher.c session.c work.c)
+  chunk_cache.c job_table.c pool.c scene_fetcher.c session.c tree_cache.c work.c)
 set(session_links tl_proto Threads::Threads)

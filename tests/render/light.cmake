@@ -11,6 +11,8 @@ tilery_test(test_identity LABEL render TIMEOUT 600 LINKS tl_worker m ARGS --but-
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_identity.c ${render_kit})
 tilery_test(test_surface LABEL render LINKS tl_worker m ARGS --but-rows
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_surface.c ${render_kit})
+tilery_test(test_trees LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_trees.c)
 tilery_test(test_scene_build LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_build.c ${render_kit})
 tilery_test(test_light_tree LABEL render LINKS tl_worker m

@@ -296,14 +296,32 @@ static enum err motions_make(struct accel *a)
     return ERR_OK;
 }
 
+/* Trees from what was saved; false, and as before, when it does not hold. */
+static bool trees_restore(struct accel *a, const void *saved, size_t saved_bytes)
+{
+    if (!saved || a->options.builder == JOB_BUILDER_NONE)
+        return false;
+    if (accel_trees_load(a, saved, saved_bytes) == ERR_OK)
+        return true;
+    bvh_release(&a->scene_tree);
+    a->scene_tree = (struct bvh){.root = BVH_EMPTY};
+    for (size_t i = 0; i < a->mesh_count; i++) {
+        bvh_release(&a->mesh_trees[i]);
+        a->mesh_trees[i] = (struct bvh){.root = BVH_EMPTY};
+    }
+    return false;
+}
+
 static enum err build(struct accel *a, const struct accel_input *input,
-                      const struct accel_runner *runner)
+                      const struct accel_runner *runner, const void *saved, size_t saved_bytes)
 {
     a->scene_tree.root = BVH_EMPTY;
     TL_TRY(copy_input(a, input));
     TL_TRY(number_triangles(a));
     TL_TRY(motions_make(a));
-    TL_TRY(trees_build(a, runner));
+    a->restored = trees_restore(a, saved, saved_bytes);
+    if (!a->restored)
+        TL_TRY(trees_build(a, runner));
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
     for (size_t i = 0; i < a->mesh_count; i++)
@@ -327,12 +345,19 @@ static const struct trace_kernel *kernel_choose(const struct accel_options *o)
 enum err accel_new(const struct accel_input *input, const struct accel_options *options,
                    const struct accel_runner *runner, struct accel **out)
 {
+    return accel_new_saved(input, options, runner, NULL, 0, out);
+}
+
+enum err accel_new_saved(const struct accel_input *input, const struct accel_options *options,
+                         const struct accel_runner *runner, const void *saved, size_t saved_bytes,
+                         struct accel **out)
+{
     struct accel *a = mem_calloc(1, sizeof *a);
     if (!a)
         return ERR_NOMEM;
     a->options = *options;
     a->kernel = kernel_choose(options);
-    enum err err = build(a, input, runner);
+    enum err err = build(a, input, runner, saved, saved_bytes);
     if (err)
         accel_free(a);
     else

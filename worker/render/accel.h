@@ -17,6 +17,7 @@
 #ifndef WORKER_RENDER_ACCEL_H
 #define WORKER_RENDER_ACCEL_H
 
+#include "common/digest.h"
 #include "common/err.h"
 #include "common/job_spec.h"
 
@@ -76,6 +77,24 @@ struct accel_stats {
 TL_NODISCARD enum err accel_new(const struct accel_input *input,
                                 const struct accel_options *options,
                                 const struct accel_runner *runner, struct accel **out);
+
+/* The same, with trees from what accel_trees_save wrote over the same input, if it holds: whatever
+ * the bytes are, no ray leaves them. They are not needed afterwards. */
+TL_NODISCARD enum err accel_new_saved(const struct accel_input *input,
+                                      const struct accel_options *options,
+                                      const struct accel_runner *runner, const void *saved,
+                                      size_t saved_bytes, struct accel **out);
+
+/* Writes the trees as that many bytes. */
+size_t accel_trees_bytes(const struct accel *a);
+void accel_trees_save(const struct accel *a, unsigned char *out);
+
+/* True if the trees were saved ones. */
+bool accel_is_restored(const struct accel *a);
+
+/* Names what trees are built over: the same key, the same trees. ERR_NOMEM. */
+TL_NODISCARD enum err accel_trees_key(const struct accel_input *input,
+                                      const struct accel_options *options, digest *out);
 void accel_free(struct accel *a);
 void accel_stats_get(const struct accel *a, struct accel_stats *out);
 

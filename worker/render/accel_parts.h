@@ -40,7 +40,12 @@ struct accel {
     struct bvh scene_tree;
     struct bvh *mesh_trees; /* mesh_count; empty unless instanced */
     struct accel_stats stats;
+    bool restored; /* the trees were saved ones */
 };
+
+/* Fills the trees of an accel whose input is copied and numbered. ERR_CORRUPT, ERR_NOMEM: the trees
+ * are then half filled, to be released. */
+TL_NODISCARD enum err accel_trees_load(struct accel *a, const void *data, size_t bytes);
 
 /* The object whose triangle has this number in the scene's tree. */
 static inline uint32_t accel_triangle_object(const struct accel *a, uint32_t number)

@@ -2,8 +2,37 @@
 
 #include "worker/scene/scene_parts.h"
 
+/* Below, building takes less time than finding. */
+enum { KEPT_TRIANGLES_MIN = 20000 };
+
+/* Saved trees or, where there are none that hold, built ones, which are offered. */
+static enum err find_or_build(struct render_scene *rs, const struct accel_input *input,
+                              const struct accel_options *options,
+                              const struct accel_runner *runner, const struct scene_trees *trees)
+{
+    uint64_t triangles = 0;
+    digest key;
+    const void *saved = NULL;
+    size_t bytes = 0;
+    for (size_t i = 0; i < input->mesh_count; i++)
+        triangles += input->meshes[i].triangle_count;
+    bool kept = trees && triangles >= KEPT_TRIANGLES_MIN && options->builder != JOB_BUILDER_NONE;
+    if (kept) {
+        TL_TRY(accel_trees_key(input, options, &key));
+        (void)trees->find(trees->ctx, &key, &saved, &bytes);
+    }
+    TL_TRY(accel_new_saved(input, options, runner, saved, bytes, &rs->accel));
+    if (!kept || accel_is_restored(rs->accel))
+        return ERR_OK;
+    if (saved)
+        trees->drop(trees->ctx, &key);
+    trees->keep(trees->ctx, &key, rs->accel);
+    return ERR_OK;
+}
+
 /* The tree's view of the meshes and objects. */
-static enum err build_accel(struct render_scene *rs, const struct accel_runner *runner)
+static enum err build_accel(struct render_scene *rs, const struct accel_runner *runner,
+                            const struct scene_trees *trees)
 {
     struct accel_mesh *meshes = mem_calloc(rs->mesh_count, sizeof *meshes);
     struct accel_object *objects = mem_calloc(rs->object_count, sizeof *objects);
@@ -25,7 +54,7 @@ static enum err build_accel(struct render_scene *rs, const struct accel_runner *
     struct accel_input input = {meshes, rs->mesh_count, objects, rs->object_count};
     struct accel_options options = {rs->spec.builder, rs->spec.intersector, rs->spec.precision,
                                     ACCEL_ISA_AUTO};
-    e = accel_new(&input, &options, runner, &rs->accel);
+    e = find_or_build(rs, &input, &options, runner, trees);
 out:
     mem_free(meshes);
     mem_free(objects);
@@ -50,7 +79,7 @@ static bool same_tables(const struct job_spec *a, const struct job_spec *b)
 }
 
 static enum err build(struct render_scene *rs, const struct scene *scene,
-                      const struct accel_runner *runner)
+                      const struct accel_runner *runner, const struct scene_trees *trees)
 {
     if (scene->uvs_left_out && aov_has(rs->spec.aov, AOV_UV))
         return ERR_INPUT;
@@ -62,11 +91,18 @@ static enum err build(struct render_scene *rs, const struct scene *scene,
     vec3 light = v3_sub(v3_of(scene->seed_light_position), v3_of(rs->center));
     rs->seed_light_position = v3_scale(light, rs->scale);
     rs->seed_light_flux = rgb_scale(rgb_of(scene->seed_light_flux), rs->scale * rs->scale);
-    return build_accel(rs, runner);
+    return build_accel(rs, runner, trees);
 }
 
 enum err scene_build(const struct scene *scene, const struct job_spec *spec,
                      const struct accel_runner *runner, struct render_scene **out)
+{
+    return scene_build_kept(scene, spec, runner, NULL, out);
+}
+
+enum err scene_build_kept(const struct scene *scene, const struct job_spec *spec,
+                          const struct accel_runner *runner, const struct scene_trees *trees,
+                          struct render_scene **out)
 {
     struct render_scene *rs = mem_calloc(1, sizeof *rs);
     if (!rs)
@@ -74,7 +110,7 @@ enum err scene_build(const struct scene *scene, const struct job_spec *spec,
     arena_init(&rs->arena);
     rs->sharers = 1;
     rs->spec = *spec;
-    enum err e = build(rs, scene, runner);
+    enum err e = build(rs, scene, runner, trees);
     if (e != ERR_OK) {
         render_scene_free(rs);
         return e;

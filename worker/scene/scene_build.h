@@ -21,6 +21,22 @@
 TL_NODISCARD enum err scene_build(const struct scene *scene, const struct job_spec *spec,
                                   const struct accel_runner *runner, struct render_scene **out);
 
+/* Where built trees are kept. Any member function may be slow. */
+struct scene_trees {
+    /* The saved trees of a key, valid until the build is over; false: none. */
+    bool (*find)(void *ctx, const digest *key, const void **data, size_t *bytes);
+    void (*drop)(void *ctx, const digest *key); /* they do not hold */
+    /* Offers those just built. */
+    void (*keep)(void *ctx, const digest *key, const struct accel *accel);
+    void *ctx;
+};
+
+/* The same with trees found or kept where that is worth it: a scene of few triangles is built in
+ * less time than its tree is read. `trees` may be NULL. */
+TL_NODISCARD enum err scene_build_kept(const struct scene *scene, const struct job_spec *spec,
+                                       const struct accel_runner *runner,
+                                       const struct scene_trees *trees, struct render_scene **out);
+
 /* The scene of another job on the same package: all tables and the tree are shared, only what
  * depends on size, film and sampling is made anew. ERR_VERSION: the job needs other tables or
  * another tree, build it; ERR_NOMEM. Who shares and who frees is one thread. Test:

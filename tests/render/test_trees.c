@@ -1,0 +1,266 @@
+/* Trees that were saved: the same hits; changed bytes are found out or harmless; the folder of them
+ * is bounded and survives what disks and kills do. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "common/mem.h"
+#include "worker/render/accel.h"
+#include "worker/tree_cache.h"
+
+enum { TRIANGLES = 300, RAYS = 400 };
+
+static uint64_t state = 1;
+
+/* In [-1, 1). */
+static double draw(void)
+{
+    state = state * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+    return (double)(state >> 11) * 0x1p-52 - 1;
+}
+
+/* Triangles as they are, the same as an instance, and a sphere. */
+struct world {
+    float positions[9 * TRIANGLES];
+    uint32_t indices[3 * TRIANGLES];
+    struct accel_mesh mesh;
+    struct accel_object objects[3];
+    struct accel_input input;
+    struct accel_options options;
+    struct ray rays[RAYS];
+};
+
+static void make_world(struct world *w)
+{
+    memset(w, 0, sizeof *w);
+    for (uint32_t i = 0; i < 3 * TRIANGLES; i++) {
+        w->indices[i] = i;
+        for (uint32_t k = 0; k < 3; k++) {
+            double base = i % 3 ? (double)w->positions[3 * (i - i % 3) + k] : 0;
+            w->positions[3 * i + k] = (float)(base + draw() * (i % 3 ? 0.2 : 1));
+        }
+    }
+    w->mesh = (struct accel_mesh){w->positions, w->indices, 3 * TRIANGLES, TRIANGLES};
+    w->objects[0] = (struct accel_object){.type = ACCEL_TRIANGLES};
+    w->objects[1] = (struct accel_object){.type = ACCEL_SPHERE, .radius = 0.2};
+    w->objects[2] = (struct accel_object){.type = ACCEL_INSTANCE,
+                                          .to_scene = {0.5, 0, 0, 0.25, 0, 0.5, 0, 0, 0, 0, 0.5, 0},
+                                          .from_scene = {2, 0, 0, -0.5, 0, 2, 0, 0, 0, 0, 2, 0}};
+    w->input = (struct accel_input){&w->mesh, 1, w->objects, 3};
+    w->options = (struct accel_options){JOB_BUILDER_SAH, JOB_INTERSECTOR_WOOP, JOB_PRECISION_EXACT,
+                                        ACCEL_ISA_AUTO};
+    for (int i = 0; i < RAYS; i++) {
+        w->rays[i] = (struct ray){.tmax = 1e30};
+        for (int k = 0; k < 3; k++) {
+            w->rays[i].org[k] = 2 * draw();
+            w->rays[i].dir[k] = draw() - w->rays[i].org[k];
+        }
+    }
+}
+
+static void trace(const struct world *w, const struct accel *a, struct hit *hits)
+{
+    memset(hits, 0, RAYS * sizeof *hits);
+    accel_closest_batch(a, w->rays, RAYS, hits);
+}
+
+static void save(const struct world *w, struct buf *out)
+{
+    struct accel *a;
+    buf_init(out);
+    assert_int_equal(accel_new(&w->input, &w->options, NULL, &a), ERR_OK);
+    assert_false(accel_is_restored(a));
+    unsigned char *at = buf_extend(out, accel_trees_bytes(a));
+    assert_non_null(at);
+    accel_trees_save(a, at);
+    accel_free(a);
+}
+
+/* Builds from the bytes, traces, and says whether they were taken. */
+static bool restore(const struct world *w, const void *data, size_t bytes, struct hit *hits)
+{
+    struct accel *a;
+    assert_int_equal(accel_new_saved(&w->input, &w->options, NULL, data, bytes, &a), ERR_OK);
+    bool taken = accel_is_restored(a);
+    trace(w, a, hits);
+    accel_free(a);
+    return taken;
+}
+
+static void saved_trees_give_the_same_hits(void **ctx)
+{
+    (void)ctx;
+    static struct world w;
+    static struct hit built[RAYS], restored[RAYS];
+    struct buf saved, again;
+    make_world(&w);
+    save(&w, &saved);
+    assert_false(restore(&w, NULL, 0, built));
+    assert_true(restore(&w, saved.data, saved.bytes, restored));
+    assert_memory_equal(built, restored, sizeof built);
+    struct accel *a;
+    buf_init(&again);
+    assert_int_equal(accel_new_saved(&w.input, &w.options, NULL, saved.data, saved.bytes, &a),
+                     ERR_OK);
+    assert_int_equal(accel_trees_bytes(a), saved.bytes);
+    unsigned char *at = buf_extend(&again, saved.bytes);
+    assert_non_null(at);
+    accel_trees_save(a, at);
+    assert_memory_equal(again.data, saved.data, saved.bytes);
+    accel_free(a);
+    buf_release(&again);
+    buf_release(&saved);
+}
+
+/* Cut short, they are built anew. With any word changed, they are built anew or no ray leaves them
+ * (the sanitizers look). */
+static void hostile_trees_are_harmless(void **ctx)
+{
+    (void)ctx;
+    static struct world w;
+    static struct hit built[RAYS], found[RAYS];
+    struct buf saved;
+    make_world(&w);
+    save(&w, &saved);
+    (void)restore(&w, NULL, 0, built);
+    for (size_t bytes = 0; bytes < saved.bytes; bytes += 1 + saved.bytes / 40) {
+        assert_false(restore(&w, saved.data, bytes, found));
+        assert_memory_equal(built, found, sizeof built);
+    }
+    size_t taken = 0, refused = 0;
+    for (size_t at = 0; at + 4 <= saved.bytes; at += 4 * (1 + saved.bytes / 4 / 1500)) {
+        static const uint32_t words[] = {0, UINT32_MAX, 0x7fc00000, 4, 2, 1 << 20};
+        uint32_t before, changed = words[at / 4 % 6];
+        memcpy(&before, saved.data + at, sizeof before);
+        memcpy(saved.data + at, &changed, sizeof changed);
+        bool was = restore(&w, saved.data, saved.bytes, found);
+        taken += was;
+        refused += !was;
+        memcpy(saved.data + at, &before, sizeof before);
+    }
+    assert_true(taken > 100 && refused > 20);
+    buf_release(&saved);
+}
+
+static void keys_follow_the_geometry(void **ctx)
+{
+    (void)ctx;
+    static struct world w;
+    digest a, b;
+    make_world(&w);
+    assert_int_equal(accel_trees_key(&w.input, &w.options, &a), ERR_OK);
+    assert_int_equal(accel_trees_key(&w.input, &w.options, &b), ERR_OK);
+    assert_true(digest_equal(&a, &b));
+    w.positions[17] += 1;
+    assert_int_equal(accel_trees_key(&w.input, &w.options, &b), ERR_OK);
+    assert_false(digest_equal(&a, &b));
+    w.positions[17] -= 1;
+    w.options.builder = JOB_BUILDER_MEDIAN;
+    assert_int_equal(accel_trees_key(&w.input, &w.options, &b), ERR_OK);
+    assert_false(digest_equal(&a, &b));
+}
+
+/* --- The folder ------------------------------------------------------------- */
+
+static enum err put(struct tree_cache *c, unsigned char name, size_t bytes)
+{
+    struct buf file;
+    digest key = {{name}};
+    buf_init(&file);
+    tree_cache_head(&file);
+    memset(buf_extend(&file, bytes), name, bytes);
+    enum err e = tree_cache_put(c, &key, &file);
+    buf_release(&file);
+    return e;
+}
+
+/* True if the tree is there, as it was put. */
+static bool has(struct tree_cache *c, unsigned char name, size_t bytes)
+{
+    digest key = {{name}};
+    char *owner = NULL;
+    const void *data = NULL;
+    size_t found = 0;
+    if (tree_cache_get(c, &key, &owner, &data, &found) != ERR_OK) {
+        assert_null(owner);
+        return false;
+    }
+    bool same = found == bytes && ((const unsigned char *)data)[0] == name;
+    mem_free(owner);
+    return same;
+}
+
+static char *file_of(const char *folder, unsigned char name)
+{
+    char hex[DIGEST_HEX_BYTES];
+    digest key = {{name}};
+    digest_to_hex(&key, hex);
+    return mem_sprintf("%s/trees/%s.tree", folder, hex);
+}
+
+static void set_age(const char *folder, unsigned char name, time_t when)
+{
+    char *path = file_of(folder, name);
+    struct timespec times[2] = {{.tv_sec = when}, {.tv_sec = when}};
+    assert_int_equal(utimensat(AT_FDCWD, path, times, 0), 0);
+    mem_free(path);
+}
+
+static void the_folder_is_bounded_and_checked(void **ctx)
+{
+    (void)ctx;
+    char folder[] = "/tmp/test_trees.XXXXXX";
+    struct tree_cache *c;
+    assert_non_null(mkdtemp(folder));
+    assert_int_equal(tree_cache_new(folder, 10000, &c), ERR_OK);
+    assert_int_equal(put(c, 1, 3000), ERR_OK);
+    assert_int_equal(put(c, 2, 3000), ERR_OK);
+    assert_true(has(c, 1, 3000) && has(c, 2, 3000) && !has(c, 3, 3000));
+    set_age(folder, 1, 2000);
+    set_age(folder, 2, 1000);
+    assert_int_equal(put(c, 3, 5000), ERR_OK); /* the one used longest ago goes */
+    assert_true(has(c, 1, 3000) && !has(c, 2, 3000) && has(c, 3, 5000));
+    assert_int_equal(put(c, 4, 20000), ERR_OK); /* larger than all there may be */
+    assert_true(!has(c, 4, 20000) && has(c, 3, 5000));
+
+    /* One byte changed on the disk; a file cut short by nothing that we do. */
+    char *path = file_of(folder, 3);
+    FILE *file = fopen(path, "r+b");
+    assert_non_null(file);
+    assert_int_equal(fseek(file, 4000, SEEK_SET), 0);
+    assert_int_not_equal(fputc(99, file), EOF);
+    assert_int_equal(fclose(file), 0);
+    assert_false(has(c, 3, 5000));
+    assert_int_not_equal(access(path, F_OK), 0); /* dropped */
+    mem_free(path);
+    path = file_of(folder, 1);
+    assert_int_equal(truncate(path, 7), 0);
+    assert_false(has(c, 1, 3000));
+    mem_free(path);
+    tree_cache_free(c);
+    char *inside = mem_sprintf("%s/trees", folder);
+    assert_int_equal(rmdir(inside), 0);
+    assert_int_equal(rmdir(folder), 0);
+    mem_free(inside);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(saved_trees_give_the_same_hits),
+        cmocka_unit_test(hostile_trees_are_harmless),
+        cmocka_unit_test(keys_follow_the_geometry),
+        cmocka_unit_test(the_folder_is_bounded_and_checked),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
