@@ -5,6 +5,7 @@
 #include "client/command.h"
 #include "client/human.h"
 #include "client/load.h"
+#include "client/predict.h"
 #include "common/json_put.h"
 #include "common/mem.h"
 #include "common/scene_plan.h"
@@ -17,7 +18,8 @@ struct facts {
     struct scene_plan_memory memory;
     uint64_t triangles, triangles_drawn, vertices, spheres, lights;
     uint64_t plain_bytes, left_bytes, sent_bytes;
-    uint64_t *chunk_sent; /* of each chunk, as one zstd frame */
+    uint64_t *chunk_sent;               /* of each chunk, as one zstd frame */
+    const struct prediction *predicted; /* NULL: not asked for */
 };
 
 static void count_scene(struct facts *f, const struct scene *s)
@@ -128,7 +130,12 @@ static void put_json(const struct facts *f, struct buf *out)
                (unsigned long long)f->vertices, (unsigned long long)f->spheres,
                (unsigned long long)f->lights);
     put_chunks_json(f, &load->package, out);
-    buf_printf(out, "],\"predicted\":null,\"spec\":%s}\n", load->spec_json);
+    buf_printf(out, "],\"predicted\":");
+    if (f->predicted)
+        predict_put_json(f->predicted, out);
+    else
+        buf_printf(out, "null");
+    buf_printf(out, ",\"spec\":%s}\n", load->spec_json);
 }
 
 /* --- Text ---------------------------------------------------------------- */
@@ -262,12 +269,15 @@ static void put_text(const struct facts *f, struct buf *out)
     put_chunks(f, &load->package, out);
     put_memory(f, out);
     buf_printf(out, "kernel    %s\n", job_integrator_names[load->spec.integrator]);
-    buf_printf(out, "cost      not predicted yet\n");
+    if (f->predicted)
+        predict_put_text(f->predicted, out);
+    else
+        buf_printf(out, "cost      --spp, --target-error or --time-limit predicts it by a pilot\n");
 }
 
-static int explain(struct cli *cli, const struct load *load)
+static int explain(struct cli *cli, const struct load *load, const struct prediction *predicted)
 {
-    struct facts facts = {.load = load};
+    struct facts facts = {.load = load, .predicted = predicted};
     struct buf out;
     buf_init(&out);
     bool ok = scene_plan_make(&load->scene, load->spec.aov, &facts.plan) == ERR_OK;
@@ -291,10 +301,15 @@ static int explain(struct cli *cli, const struct load *load)
 int command_explain(struct cli *cli)
 {
     struct load load;
+    struct prediction prediction;
+    bool predicts = predict_wanted(&cli->line);
     load_scene(&load, &cli->line, true);
-    int status = load_explain(&load, NULL);
+    /* The pilot's farm reads the scene once more, and says then what there is to say. */
+    int status = predicts && load.status == EXIT_DONE ? EXIT_DONE : load_explain(&load, NULL);
+    if (status == EXIT_DONE && predicts)
+        status = predict_run(cli, &load.spec, &prediction);
     if (status == EXIT_DONE)
-        status = explain(cli, &load);
+        status = explain(cli, &load, predicts ? &prediction : NULL);
     load_release(&load);
     return status;
 }

@@ -261,6 +261,28 @@ int study_farm_render(struct study_farm *f, const struct study_setting *settings
     return signals_interrupts > 0 && status != EXIT_DONE ? EXIT_INTERRUPTED : status;
 }
 
+int study_farm_report(struct study_farm *f, const struct job_spec *spec, struct farm_json *report)
+{
+    char job[FARM_ID_BYTES], path[FARM_PATH_BYTES];
+    bool restarted = false;
+    char *json = job_spec_to_json(spec);
+    if (!json) {
+        cli_error("no-memory", NULL, "out of memory");
+        return EXIT_MACHINE;
+    }
+    struct farm_job_request request = {
+        .name = "pilot", .package = &f->load.package, .spec_json = json};
+    int status = farm_submit(&f->api, &request, job);
+    mem_free(json);
+    if (status == EXIT_DONE)
+        status = wait_job(f, job, &restarted);
+    if (status == EXIT_DONE)
+        status = farm_job_path(job, "", path);
+    if (status == EXIT_DONE)
+        status = farm_call(&f->api, "GET", path, NULL, report);
+    return signals_interrupts > 0 && status != EXIT_DONE ? EXIT_INTERRUPTED : status;
+}
+
 uint64_t study_farm_half_bytes(struct study_farm *f)
 {
     char path[FARM_PATH_BYTES];

@@ -49,6 +49,10 @@ struct study_render {
 TL_NODISCARD int study_farm_render(struct study_farm *f, const struct study_setting *settings,
                                    uint32_t setting_count, struct study_render *out);
 
+/* Renders the scene by another spec and gives the report (farm_json_release). Exit status. */
+TL_NODISCARD int study_farm_report(struct study_farm *f, const struct job_spec *spec,
+                                   struct farm_json *report);
+
 /* Bytes that the last render's picture takes as a file of half floats; 0 if unknown. */
 uint64_t study_farm_half_bytes(struct study_farm *f);
 

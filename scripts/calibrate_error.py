@@ -2,13 +2,14 @@
 """Measures what docs/ERROR.md says of the stated error: renders small pictures on a farm of two
 workers and compares what Tilery says with long references.
 
-usage: calibrate_error.py [--part error,target] [--seeds N] [--runs N] [--reference SPP]
+usage: calibrate_error.py [--part error,target,predict] [--seeds N] [--runs N] [--reference SPP]
                           [--json OUT.json]
 
 error:   N seeds of each of eight scenes: mean of the stated over mean of the true relMSE, and how
          often the 95 % interval of the image mean holds the reference's.
 target:  N runs of each scene to a target: how many claims hold, and the work beside that of an
          allocation which knows the variance of every square.
+predict: what `tilery explain` says of seconds and error, beside renders of N seeds.
 """
 import argparse
 import json
@@ -22,7 +23,7 @@ import numpy
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests/e2e"))
 import exr_pixels  # noqa: E402
-from farm import Farm  # noqa: E402
+from farm import Farm, tilery  # noqa: E402
 
 WIDTH, HEIGHT, SPP = 96, 64, 64
 CASES = [("cbox", ()), ("cbox_no_light", ()), ("glass_cbox", ()), ("cbox_no_light_refract", ()),
@@ -128,6 +129,41 @@ def part_target(bench, truths, runs):
     return rows
 
 
+def part_predict(folder, seeds):
+    """Renders after their predictions; the logarithms to base 2 of true over predicted."""
+    rows = []
+    options = [("--spp", 32), ("--spp", 128), ("--target-error", None), ("--time-limit", 4)]
+    for case in CASES:
+        scene = ROOT / "scenes" / f"{case[0]}.json"
+        base = [scene, "--size", f"{WIDTH}x{HEIGHT}", *case[1]]
+        for seed in range(1, seeds + 1):
+            target = None
+            for option, value in options:
+                given = [*base, "--seed", seed, option, value or f"{target:.1g}"]
+                said = json.loads(tilery("explain", *given, "--json", timeout=600).stdout)["predicted"]
+                done = tilery("render", *base, "--seed", seed + 1000, *given[-2:], "--workers", 1,
+                              "--quiet", "-o", folder / "x.exr", "--report", folder / "x.json",
+                              timeout=600)
+                assert done.returncode == 0, done.stderr
+                report = json.loads((folder / "x.json").read_text())
+                true_s, true_e = report["seconds"]["total"], report["error"]["relmse"]
+                target = 0.5 * true_e if option == "--spp" else target
+                if said["heavy_tail"] or true_e == 0:
+                    continue
+                rows.append({
+                    "scene": name_of(case), "option": option,
+                    "seconds_log2": math.log2(true_s / said["seconds"]),
+                    "seconds_in": said["seconds_low"] <= true_s <= said["seconds_high"],
+                    "relmse_log2": math.log2(true_e / said["relmse"]),
+                    "relmse_in": said["relmse_low"] <= true_e <= said["relmse_high"]})
+    for what in ("seconds", "relmse"):
+        off = [abs(r[what + "_log2"]) for r in rows]
+        inside = sum(r[what + "_in"] for r in rows)
+        print(f"predict {what}: {inside} of {len(rows)} inside 80 % intervals, median "
+              f"|log2(true/predicted)| {numpy.median(off):.3f}", flush=True)
+    return rows
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", default="error,target")
@@ -141,8 +177,11 @@ def main():
         for _ in range(2):
             farm.worker()
         bench = Bench(farm, pathlib.Path(folder))
-        truths = {case: Truth(bench, case, arguments.reference) for case in CASES}
         parts = arguments.part.split(",")
+        if "predict" in parts:
+            found["predict"] = part_predict(pathlib.Path(folder), arguments.runs)
+        truths = {case: Truth(bench, case, arguments.reference) for case in CASES
+                  if parts != ["predict"]}
         if "target" in parts:
             found["target"] = part_target(bench, truths, arguments.runs)
         if "error" in parts:

@@ -93,7 +93,11 @@ function showReport(r) {
   put(list, "size", r.width + " x " + r.height);
   put(list, "samples a pixel", r.spp_mean);
   put(list, "relMSE", r.error.relmse == null ? null : r.error.relmse.toPrecision(3) + " (95 %: "
-    + r.error.relmse_low.toPrecision(3) + " to " + r.error.relmse_high.toPrecision(3) + ")");
+    + r.error.relmse_low.toPrecision(3) + " to " + r.error.relmse_high.toPrecision(3) + ")"
+    + (r.error.heavy_tail ? "; heavy tail: not to be trusted" : ""));
+  put(list, "Worst cell", r.error.worst_cell == null ? null : "at " + r.error.worst_cell.x + ","
+    + r.error.worst_cell.y + ": " + r.error.worst_cell.relmse.toPrecision(3));
+  put(list, "Stopped by", r.stopped_by == null || r.stopped_by === "spp" ? null : r.stopped_by);
   put(list, "seconds", Object.entries(r.seconds).filter(([, v]) => v != null)
     .map(([k, v]) => k + " " + v.toFixed(2)).join(", "));
   put(list, "core seconds", r.core_seconds.toFixed(1));

@@ -137,6 +137,24 @@ def test_heavy_tail_is_said(tmp_path):
     assert attributes["tilery.heavyTail"] == ("int", b"\x01\0\0\0")
 
 
+@pytest.mark.parametrize("option", [("--spp", 64), ("--target-error", 0.01), ("--time-limit", 20)])
+def test_explain_predicts(option):
+    """A pilot says how long and how good, within its interval and sanely."""
+    done = tilery("explain", SCENE, "--size", "48x32", *option, "--json", timeout=120)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)["predicted"]
+    assert 0 < said["seconds_low"] < said["seconds"] < said["seconds_high"]
+    assert 0 < said["relmse_low"] < said["relmse"] < said["relmse_high"]
+    if option[0] == "--spp":
+        assert said["spp_mean"] == 64
+    elif option[0] == "--time-limit":
+        assert said["seconds"] == 20
+    else:
+        assert said["relmse"] <= 0.01
+    text = tilery("explain", SCENE, "--size", "48x32", *option, timeout=120)
+    assert text.returncode == 0 and "cost " in text.stdout and "80 %" in text.stdout
+
+
 BAD = {
     "zero": (("--target-error", "0"), "over 0"),
     "word": (("--target-error", "small"), "number"),

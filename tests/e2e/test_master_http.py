@@ -292,7 +292,7 @@ def test_host_and_origin(farm, call):
 
 def test_body_limits(farm):
     call = Client(farm)
-    check_problem(call("POST", "/api/v1/jobs", b" " * ((1 << 20) + 1)), 413, "too-large")
+    check_problem(call("POST", "/api/v1/jobs", b" " * ((16 << 20) + 1)), 413, "too-large")
     check_problem(Client(farm)("POST", "/api/v1/session", b"x" * (2 << 20)), 413, "too-large")
 
 
