@@ -118,9 +118,8 @@ void predict_put_json(const struct prediction *p, struct buf *out)
         const char *key;
         double value;
     } fields[] = {
-        {"spp_mean", p->spp_mean},         {"seconds", p->seconds},
-        {"seconds_low", p->seconds_low},   {"seconds_high", p->seconds_high},
-        {"relmse", p->relmse},             {"relmse_low", p->relmse_low},
+        {"spp_mean", p->spp_mean},         {"seconds", p->seconds}, {"seconds_low", p->seconds_low},
+        {"seconds_high", p->seconds_high}, {"relmse", p->relmse},   {"relmse_low", p->relmse_low},
         {"relmse_high", p->relmse_high},
     };
     buf_printf(out, "{\"heavy_tail\":%s", p->heavy_tail ? "true" : "false");

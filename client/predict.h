@@ -14,10 +14,10 @@
 
 /* What a pilot measured. */
 struct pilot {
-    double spp, core_s;           /* samples a pixel, and thread-seconds of them all */
-    double load_s, threads;       /* before the first sample; at work */
-    double relmse, deviation;     /* its error, and the standard deviation of that */
-    double gain;                  /* work of samples by error over that of equal samples */
+    double spp, core_s;       /* samples a pixel, and thread-seconds of them all */
+    double load_s, threads;   /* before the first sample; at work */
+    double relmse, deviation; /* its error, and the standard deviation of that */
+    double gain;              /* work of samples by error over that of equal samples */
     bool heavy_tail;
 };
 

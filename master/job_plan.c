@@ -17,8 +17,9 @@ const char *const job_end_names[JOB_END_COUNT] = {
 
 /* --- Constants, with where they come from (docs/ERROR.md) ------------------ */
 
-/* Error falls somewhat faster than 1 / samples: the first look comes before the pilot's promise. */
-static const double FIRST_AIM = 1.25;
+/* Where samples are well spread error falls faster than 1 / samples: the first look comes at twice
+ * the target by the pilot's promise. */
+static const double FIRST_AIM = 2;
 /* Between two looks samples grow by at least and at most so much. */
 static const double GROWTH_MIN = 1.06, GROWTH_MAX = 4;
 /* What the next look should find, of what is needed. */
