@@ -394,6 +394,31 @@ static void read_mesh(const char *path, struct gen_mesh *out)
     mem_free(data);
 }
 
+/* Embree's assertions stop the program at such a ray; ours hits nothing with it. */
+static bool ray_is_sane(const float ray[8])
+{
+    bool finite = true, directed = false;
+    for (int k = 0; k < 3; k++) {
+        finite = finite && __builtin_isfinite(ray[k]) && __builtin_isfinite(ray[4 + k]);
+        directed = directed || ray[4 + k] != 0.0f;
+    }
+    return finite && directed && ray[3] >= 0.0f && ray[3] <= ray[7];
+}
+
+static void rays_keep_sane(const char *path, struct trace_rays *rays)
+{
+    size_t kept = 0;
+    for (size_t i = 0; i < rays->count; i++)
+        if (ray_is_sane(rays->ray[i]))
+            memmove(rays->ray[kept++], rays->ray[i], sizeof *rays->ray);
+    if (kept < rays->count)
+        fprintf(stderr,
+                "bench_trace: %s: %zu of %zu rays left out: not finite, without direction, or "
+                "tnear not within 0 to tfar\n",
+                path, rays->count - kept, rays->count);
+    rays->count = kept;
+}
+
 static void read_rays(const char *path, struct trace_rays *out)
 {
     size_t bytes;
@@ -411,6 +436,7 @@ static void read_rays(const char *path, struct trace_rays *out)
         exit(5);
     memcpy(out->ray, data + sizeof count, count * sizeof *out->ray);
     mem_free(data);
+    rays_keep_sane(path, out);
 }
 
 static void bench_files(struct bench *b)
