@@ -141,7 +141,11 @@ int preset_apply(struct cli *cli)
     diag_init(&problems);
     enum err e = file_read(path, PRESET_BYTES_MAX, &text, &bytes);
     if (e == ERR_OK) {
-        preset_read(cli, path, text, &problems);
+        if (strlen(text) != bytes)
+            diag_add(&problems, DIAG_ERROR, (struct diag_place){.file = path}, "bad-preset", NULL,
+                     "holds a zero byte: this is no text");
+        else
+            preset_read(cli, path, text, &problems);
         mem_free(text);
     } else {
         diag_add(&problems, DIAG_ERROR, (struct diag_place){.file = path}, "bad-preset",

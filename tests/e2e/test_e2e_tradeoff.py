@@ -96,6 +96,9 @@ def test_preset(tmp_path):
     assert done.returncode == 3 and not (tmp_path / "c.exr").exists()
     assert f"{preset}:2: no job option \"max-dept\"" in done.stderr
     assert "did you mean max-depth?" in done.stderr and "2 problems" in done.stderr
+    preset.write_bytes(b"spp = 6\n\0max-depth = 3\n")
+    done = tilery("render", GLASS_SCENE, "-o", by_file, "--preset", preset)
+    assert done.returncode == 3 and "zero byte" in done.stderr
     done = tilery("render", GLASS_SCENE, "-o", by_file, "--preset", tmp_path / "none")
     assert done.returncode == 3 and "[bad-preset]" in done.stderr
 
