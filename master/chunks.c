@@ -32,6 +32,8 @@ struct chunk {
     uint64_t raw_bytes; /* known while frame is */
     uint64_t used_at;
     struct waiter *waiters; /* a read is under way while there are any */
+    uint64_t asked_ms;      /* when somebody stored it or asked whether it is there */
+    uint64_t sweep;         /* the last one that found it in a package */
     UT_hash_handle hh;
 };
 
@@ -41,6 +43,7 @@ struct chunk_store {
     struct chunk *chunks;
     uint64_t cached_bytes, clock;
     uint64_t temporary; /* names of files being written */
+    uint64_t sweeps;
 };
 
 /* One job of the pool. */
@@ -84,6 +87,7 @@ static enum err note_chunk(struct chunk_store *s, const digest *name)
     if (!c)
         return ERR_NOMEM;
     c->name = *name;
+    c->asked_ms = uv_now(s->loop);
     HASH_ADD_KEYPTR(hh, s->chunks, c->name.bytes, DIGEST_BYTES, c);
     if (!find(s, name)) {
         mem_free(c);
@@ -154,9 +158,12 @@ void chunks_close(struct chunk_store *s)
     mem_free(s);
 }
 
-bool chunks_has(const struct chunk_store *s, const digest *name)
+bool chunks_has(struct chunk_store *s, const digest *name)
 {
-    return find(s, name) != NULL;
+    struct chunk *c = find(s, name);
+    if (c)
+        c->asked_ms = uv_now(s->loop);
+    return c != NULL;
 }
 
 size_t chunks_count(const struct chunk_store *s)
@@ -437,4 +444,125 @@ enum err chunks_check_package(struct chunk_store *s, const digest *root, chunks_
     if (e != ERR_OK)
         work_free(w);
     return e;
+}
+
+/* --- Sweeping ------------------------------------------------------------- */
+
+struct sweep {
+    uv_work_t request;
+    struct chunk_store *store;
+    digest *roots; /* owned */
+    size_t root_count;
+    struct buf names; /* of what their packages consist of */
+    uint64_t before_ms;
+    chunks_swept *done;
+    void *ctx;
+    enum err result;
+};
+
+static void sweep_free(struct sweep *w)
+{
+    mem_free(w->roots);
+    buf_release(&w->names);
+    mem_free(w);
+}
+
+/* The names in one package. One that is not there or damaged names nothing: no worker can use it.
+ */
+static enum err list_package(struct sweep *w, const digest *name)
+{
+    struct work one = {.store = w->store, .name = *name, .path = path_of(w->store, name)};
+    if (!one.path)
+        return ERR_NOMEM;
+    one.request.data = &one;
+    check_run(&one.request);
+    for (size_t i = 0; one.result == ERR_OK && i < one.index.count; i++)
+        buf_put(&w->names, &one.index.entries[i].name, sizeof(digest));
+    package_index_release(&one.index);
+    mem_free(one.path);
+    if (one.result == ERR_NOMEM || one.result == ERR_IO)
+        return one.result;
+    return buf_status(&w->names);
+}
+
+static void sweep_run(uv_work_t *request)
+{
+    struct sweep *w = request->data;
+    for (size_t i = 0; i < w->root_count && w->result == ERR_OK; i++)
+        w->result = list_package(w, &w->roots[i]);
+}
+
+static void mark(struct chunk_store *s, const void *names, size_t bytes)
+{
+    for (size_t at = 0; at + sizeof(digest) <= bytes; at += sizeof(digest)) {
+        digest name;
+        memcpy(&name, (const unsigned char *)names + at, sizeof name);
+        struct chunk *c = find(s, &name);
+        if (c)
+            c->sweep = s->sweeps;
+    }
+}
+
+/* On the loop, so that no upload of the same name can come between table and file. */
+static void remove_chunk(struct chunk_store *s, struct chunk *c)
+{
+    char *path = path_of(s, &c->name);
+    if (!path)
+        return;
+    if (unlink(path) != 0 && errno != ENOENT)
+        log_warn("chunks", "cannot remove file=%s error=\"%s\"", path, strerror(errno));
+    mem_free(path);
+    if (c->frame)
+        s->cached_bytes -= blob_bytes(c->frame);
+    blob_unref(c->frame);
+    HASH_DEL(s->chunks, c);
+    mem_free(c);
+}
+
+static void sweep_after(uv_work_t *request, int status)
+{
+    enum { REMOVED_MAX = 1000 }; /* of one sweep: the loop has other things to do */
+    struct sweep *w = request->data;
+    struct chunk_store *s = w->store;
+    size_t removed = 0;
+    if (status == 0 && w->result == ERR_OK) {
+        s->sweeps++;
+        mark(s, w->roots, w->root_count * sizeof(digest));
+        mark(s, w->names.data, w->names.bytes);
+        struct chunk *c, *next;
+        HASH_ITER(hh, s->chunks, c, next)
+        {
+            if (c->sweep == s->sweeps || c->asked_ms >= w->before_ms || c->waiters ||
+                removed >= REMOVED_MAX)
+                continue;
+            remove_chunk(s, c);
+            removed++;
+        }
+    }
+    if (removed > 0)
+        log_info("chunks", "of no job, removed count=%zu left=%zu", removed, chunks_count(s));
+    w->done(w->ctx);
+    sweep_free(w);
+}
+
+enum err chunks_sweep(struct chunk_store *s, digest *roots, size_t root_count, uint64_t before_ms,
+                      chunks_swept *done, void *ctx)
+{
+    struct sweep *w = mem_calloc(1, sizeof *w);
+    if (!w) {
+        mem_free(roots);
+        return ERR_NOMEM;
+    }
+    w->request.data = w;
+    w->store = s;
+    w->roots = roots;
+    w->root_count = root_count;
+    w->before_ms = before_ms;
+    w->done = done;
+    w->ctx = ctx;
+    buf_init(&w->names);
+    if (uv_queue_work(s->loop, &w->request, sweep_run, sweep_after) == 0)
+        return ERR_OK;
+    sweep_free(w);
+    return ERR_NOMEM;
 }

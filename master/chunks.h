@@ -26,7 +26,8 @@ TL_NODISCARD enum err chunks_open(uv_loop_t *loop, const char *dir, struct chunk
 /* No operation may be under way. */
 void chunks_close(struct chunk_store *s);
 
-bool chunks_has(const struct chunk_store *s, const digest *name);
+/* Asking keeps it from the next sweeps: whoever asks is about to use it. */
+bool chunks_has(struct chunk_store *s, const digest *name);
 size_t chunks_count(const struct chunk_store *s);
 
 /* Checks that `frame` (taken) unpacks to `name` and stores it. ERR_CORRUPT: it does not;
@@ -47,5 +48,12 @@ void chunks_get(struct chunk_store *s, const digest *name, chunk_got *done, void
 typedef void chunks_checked(void *ctx, enum err e, struct buf *missing);
 TL_NODISCARD enum err chunks_check_package(struct chunk_store *s, const digest *root,
                                            chunks_checked *done, void *ctx);
+
+/* Removes the chunks that are in none of these packages (`roots`, mem_alloc'ed, taken) and that
+ * nobody has stored or asked for since `before_ms` of the loop's clock; at most 1,000 at a time.
+ * Nothing when a package cannot be read. ERR_NOMEM: not begun. */
+typedef void chunks_swept(void *ctx);
+TL_NODISCARD enum err chunks_sweep(struct chunk_store *s, digest *roots, size_t root_count,
+                                   uint64_t before_ms, chunks_swept *done, void *ctx);
 
 #endif

@@ -165,7 +165,9 @@ struct farm {
     size_t later_count, later_capacity;
     struct result *answering; /* the result that ACCEPT and COMPARE speak of */
     bool admit_due;           /* a job may be let into the scheduler */
-    uint32_t sched_jobs;      /* known to the scheduler */
+    bool sweeping;            /* chunks.c looks for what no job needs */
+    int64_t swept_ms;
+    uint32_t sched_jobs; /* known to the scheduler */
 
     bool stopping;
     struct farm_counters counters;

@@ -507,9 +507,34 @@ def test_retention(tmp_path):
         job = made.submit(SEED_SCENE, "--spp", 1, "--size", "16x16")
         wait_until(lambda: made.request("GET", f"/api/v1/jobs/{job}")[0] == 404, "the job to go")
         wait_until(lambda: not list((made.data / "jobs").iterdir()), "its files to go")
+        # Nobody else needs its scene.
+        wait_until(lambda: not [p for p in (made.data / "chunks").rglob("*") if p.is_file()],
+                   "its chunks to go")
         made.kill_master()
         made.start_master()
         assert made.submit(SEED_SCENE, "--spp", 1, "--size", "16x16") != job
+
+
+def test_chunks_of_kept_jobs_stay(tmp_path):
+    """Only what no job needs goes: the scene of a paused job is there when it goes on, although
+    chunks of ended jobs are swept meanwhile."""
+    with Farm(tmp_path, master_arguments=["--retention", "0.00002"]) as made:
+        kept = made.submit(GLASS_SCENE, "--spp", 1, "--size", "16x16")
+        assert made.request("PATCH", f"/api/v1/jobs/{kept}", {"state": "paused"})[0] == 200
+        files = {p for p in (made.data / "chunks").rglob("*") if p.is_file()}
+        made.worker()
+        gone = made.submit(SEED_SCENE, "--spp", 1, "--size", "16x16")
+        more = {p for p in (made.data / "chunks").rglob("*") if p.is_file()}
+        assert more > files
+        wait_until(lambda: made.request("GET", f"/api/v1/jobs/{gone}")[0] == 404, "the job to go")
+        wait_until(lambda: {p for p in (made.data / "chunks").rglob("*") if p.is_file()} == files,
+                   "its own chunks to go")
+        made.kill_master()
+        made.start_master()
+        time.sleep(3)  # some sweeps more
+        assert {p for p in (made.data / "chunks").rglob("*") if p.is_file()} == files
+        assert made.request("PATCH", f"/api/v1/jobs/{kept}", {"state": "queued"})[0] == 200
+        made.wait_job(kept)
 
 
 def test_picture_after_a_restart(tmp_path):
