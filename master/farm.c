@@ -4,6 +4,7 @@
 #include <inttypes.h>
 #include <string.h>
 #include <sys/random.h>
+#include <sys/resource.h>
 #include <time.h>
 
 #include "common/log.h"
@@ -14,6 +15,18 @@ enum {
     STOP_MS = 50,              /* between the last word to workers and closing their connections */
     EPOCHS_RESERVED = 1 << 20, /* numbers of leases per write to the disk */
 };
+
+void farm_connection_limits(uint32_t people_max, uint32_t *people, uint32_t *workers)
+{
+    struct rlimit limit;
+    uint64_t files = getrlimit(RLIMIT_NOFILE, &limit) == 0 ? limit.rlim_cur : 1024;
+    const uint64_t least = FARM_DESCRIPTORS_OWN + 2 * FARM_PEOPLE_MIN;
+    uint64_t left = (files > least ? files : least) - FARM_DESCRIPTORS_OWN;
+    uint64_t share = left / 4 > FARM_PEOPLE_MIN ? left / 4 : FARM_PEOPLE_MIN;
+    *people = share < people_max ? (uint32_t)share : people_max;
+    left -= *people;
+    *workers = left < FARM_CONNECTIONS_MAX ? (uint32_t)left : FARM_CONNECTIONS_MAX;
+}
 
 int64_t farm_now_ms(const struct farm *f)
 {

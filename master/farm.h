@@ -34,6 +34,10 @@ enum {
     FARM_JOBS_MAX = 100000,       /* kept at once, finished ones included */
     FARM_WORKERS_MAX = 10000,     /* known at once, lost ones included */
     FARM_CONNECTIONS_MAX = 12000, /* at once, those before their hello included */
+    /* Descriptors that connections must leave to the store, the chunks and the loop. */
+    FARM_DESCRIPTORS_OWN = 23,
+    FARM_PEOPLE_MIN = 4,
+    FARM_PEOPLE_MAX = 1000, /* HTTP connections at once */
     FARM_HEARTBEAT_MS = 1000,
     /* Of journal since the last checkpoint of a job. A segment lives for up to two of these, since
      * what is under way at a checkpoint ends up behind it: 48 of the 64 MiB promised. */
@@ -195,6 +199,10 @@ void farm_release(struct farm *f);
 
 /* Feeds the scheduler and carries out what it answers; later, when called while it does. */
 void farm_feed(struct farm *f, const struct sched_event *event);
+
+/* How many connections of people and workers the limit of open files has room for: a quarter is for
+ * people, at most `people_max`. Strangers must never keep a result from the disk. */
+void farm_connection_limits(uint32_t people_max, uint32_t *people, uint32_t *workers);
 
 /* Milliseconds of the loop's monotonic clock; microseconds since 1970. */
 int64_t farm_now_ms(const struct farm *f);

@@ -16,7 +16,7 @@
 #include "master/farm.h"
 #include "proto/transport_tls.h"
 
-enum { HTTP_CONNECTIONS_MAX = 1000, HTTP_IDLE_S = 60 };
+enum { HTTP_IDLE_S = 60 };
 
 struct http; /* opaque */
 

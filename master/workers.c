@@ -623,7 +623,9 @@ enum err workers_listen(struct farm *f, const char *address)
         /* Any chunk fits beside what must not wait for it; see CHUNKS_QUEUED_BYTES_MAX. */
         .queue_bytes_max = (size_t)LIMIT_CHUNK_BODY_BYTES + CHUNKS_QUEUED_BYTES_MAX * 2,
     };
-    enum err e = listener_new(f->transport, address, FARM_CONNECTIONS_MAX, &options, &f->listener);
+    uint32_t people, connections;
+    farm_connection_limits(FARM_PEOPLE_MAX, &people, &connections);
+    enum err e = listener_new(f->transport, address, connections, &options, &f->listener);
     if (e != ERR_OK)
         log_error("master", "cannot listen for workers address=%s error=\"%s\"", address,
                   e == ERR_USAGE ? "not an ADDRESS:PORT" : err_text(e));

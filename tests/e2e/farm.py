@@ -6,6 +6,7 @@ ended by its own id when the Farm closes, whatever the test did.
 import json
 import os
 import pathlib
+import resource
 import signal
 import subprocess
 import time
@@ -63,11 +64,16 @@ def wait_until(condition, what, timeout=20.0, step=0.02):
 class Daemon:
     """One child process with a line of JSON on its standard output and a log file."""
 
-    def __init__(self, name, arguments, log, env):
+    def __init__(self, name, arguments, log, env, files=None):
+        """`files`: its limit of open files."""
         self.name, self.log_path = name, log
+
+        def limit():
+            resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
         with open(log, "ab") as log_file:
             self.process = subprocess.Popen([str(BIN / arguments[0]), *map(str, arguments[1:])],
-                                            stdout=subprocess.PIPE, stderr=log_file, env=env)
+                                            stdout=subprocess.PIPE, stderr=log_file, env=env,
+                                            preexec_fn=limit if files else None)
         self.pid = self.process.pid
         os.set_blocking(self.process.stdout.fileno(), False)
         self.buffer = b""
@@ -143,7 +149,7 @@ class Farm:
             self.master.kill()
         self.workers, self.master = [], None
 
-    def start_master(self, env=None, wait=True):
+    def start_master(self, env=None, wait=True, files=None):
         """Starts the master; again on the ports it had. `env`: more of the environment."""
         arguments = ["tilery-master", "--listen", self.listen, "--http", self.http,
                      "--data", self.data, *self.master_arguments]
@@ -153,7 +159,7 @@ class Farm:
             path.chmod(0o600)
             arguments += ["--token-file", path]
         self.master = Daemon("master", arguments, self.folder / "master.log",
-                             clean_env(**(env or {})))
+                             clean_env(**(env or {})), files)
         if wait:
             said = self.master.line()
             self.listen, self.http = said["listen"], said["http"]
