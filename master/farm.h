@@ -10,6 +10,7 @@
  *   verify.c     results that are compared; liars; what is remembered of losses and pauses
  *   workers.c    connections: hello, leases out, heartbeats, loss
  *   chunks.c     scene chunks by SHA-256
+ *   sweep.c      which of them nobody needs any more
  *   events.c     news for people: event stream and logs
  *
  * A unit's way: Result arrives -> decoded and checked (pool when large) -> scheduler says which
@@ -280,6 +281,12 @@ double jobs_done_share(const struct farm *f, const struct job *job);
 void jobs_left(const struct job *job, struct sched_job_info *info);
 /* Why it is not moving, or "". */
 const char *jobs_note(const struct farm *f, const struct job *job);
+
+/* --- sweep.c ---------------------------------------------------------------- */
+
+/* Called every second; now and then chunks that no kept job needs go, but not what somebody is
+ * about to submit. */
+void sweep_chunks(struct farm *f);
 
 /* --- job_film.c ----------------------------------------------------------- */
 

@@ -19,15 +19,16 @@ enum err http_body_open(struct json_get *g, const void *data, size_t bytes, cons
     return ERR_INPUT;
 }
 
-static void read_spec(struct json_get *g, struct job_spec *out)
+/* ERR_NOMEM; what is wrong with it is among the problems. */
+static enum err read_spec(struct json_get *g, struct job_spec *out)
 {
     const struct json *spec = json_get_required(g, g->root, "spec");
     if (!json_get_is(g, spec, JSON_OBJECT))
-        return;
+        return ERR_OK;
     char *text = http_json_text(spec);
-    if (!text || job_spec_from_json(text, strlen(text), out, g->problems) == ERR_NOMEM)
-        json_get_problem(g, DIAG_ERROR, spec, "out-of-memory", NULL, "out of memory");
+    enum err e = text ? job_spec_from_json(text, strlen(text), out, g->problems) : ERR_NOMEM;
     mem_free(text);
+    return e == ERR_NOMEM ? e : ERR_OK;
 }
 
 /* "frame": the number of a frame; "shot": the job of the shot's first frame, which has none. */
@@ -60,7 +61,7 @@ enum err http_body_job(struct json_get *g, struct http_job_body *out)
         json_get_problem(g, DIAG_ERROR, p, "bad-digest", NULL,
                          "\"%.80s\" is not 64 hexadecimal digits", package);
     read_frame(g, out);
-    read_spec(g, &out->spec);
+    TL_TRY(read_spec(g, &out->spec));
     return g->problems->error_count == 0 ? ERR_OK : ERR_INPUT;
 }
 

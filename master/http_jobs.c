@@ -432,14 +432,14 @@ static void package_checked(void *ctx, enum err e, struct buf *missing)
     submission_free(s);
 }
 
-/* The members of the body and the key; false: problems were added. */
-static bool read_submission(struct request *r, struct json_get *g, struct submission *s)
+/* The members of the body and the key. ERR_INPUT: problems were added; ERR_NOMEM. */
+static enum err read_submission(struct request *r, struct json_get *g, struct submission *s)
 {
-    bool good = http_body_job(g, &s->asked) == ERR_OK;
+    enum err e = http_body_job(g, &s->asked);
     const struct json *plan = json_get_member(g->root, "plan");
     s->has_plan = plan != NULL;
     if (plan && sample_plan_read(g, plan, &s->plan) == ERR_NOMEM)
-        json_get_problem(g, DIAG_ERROR, plan, "out-of-memory", NULL, "out of memory");
+        e = ERR_NOMEM;
     const char *key = request_head(r, "Idempotency-Key");
     if (key && (strlen(key) == 0 || strlen(key) >= sizeof s->key))
         json_get_problem(g, DIAG_ERROR, g->root, "bad-key", NULL,
@@ -448,7 +448,9 @@ static bool read_submission(struct request *r, struct json_get *g, struct submis
         (void)snprintf(s->key, sizeof s->key, "%s", key);
     s->has_key = key != NULL;
     s->body = digest_of(r->body.data, r->body.bytes);
-    return good && g->problems->error_count == 0;
+    if (e == ERR_NOMEM)
+        return e;
+    return g->problems->error_count == 0 ? ERR_OK : ERR_INPUT;
 }
 
 /* True when the key was used before: answered. */
@@ -473,15 +475,15 @@ void http_post_jobs(struct request *r)
     if (!request_json(r, &g, &problems, keys, sizeof keys / sizeof *keys))
         return;
     struct submission *s = mem_calloc(1, sizeof *s);
-    bool good = s && read_submission(r, &g, s);
+    enum err e = s ? read_submission(r, &g, s) : ERR_NOMEM;
     json_get_close(&g);
-    if (!s)
-        request_error(r, ERR_NOMEM);
-    else if (!good)
+    if (e == ERR_NOMEM)
+        request_error(r, e);
+    else if (e != ERR_OK)
         request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-job", "the job cannot be made",
                          &problems);
     diag_release(&problems);
-    if (!good || answer_by_key(r, s)) {
+    if (e != ERR_OK || answer_by_key(r, s)) {
         submission_free(s);
         return;
     }
@@ -490,7 +492,7 @@ void http_post_jobs(struct request *r)
         submission_free(s);
         return;
     }
-    enum err e = chunks_check_package(r->farm->chunks, &s->asked.package, package_checked, s);
+    e = chunks_check_package(r->farm->chunks, &s->asked.package, package_checked, s);
     if (e == ERR_OK) {
         request_wait(r);
         return;

@@ -22,7 +22,6 @@ enum {
     JOBS_IN_SCHED_MAX = 1000, /* below the scheduler's job_count_max */
     NEWS_MS = 500,            /* between two events of the same job that are not urgent */
     KEYS_MAX = 10000,
-    SWEEP_S = 3600, /* between two looks for chunks of no job; so long they may wait for one */
     SPEC_BYTES_MAX = sizeof((tilery_JobInfo *)0)->spec_json.bytes,
 };
 
@@ -761,41 +760,6 @@ static bool expire(struct farm *f, size_t index)
     log_info("jobs", "retention over, removed job=j%" PRIu64, job->rec.id);
     remove_job(f, index);
     return true;
-}
-
-static int by_digest(const void *a, const void *b)
-{
-    return memcmp(a, b, sizeof(digest));
-}
-
-static void swept(void *ctx)
-{
-    struct farm *f = ctx;
-    f->sweeping = false;
-    f->swept_ms = farm_now_ms(f);
-}
-
-/* Now and then: chunks that no kept job needs go, but not what somebody is about to submit. */
-static void sweep_chunks(struct farm *f)
-{
-    const int64_t grace_ms = f->retention_s > 0 && f->retention_s < SWEEP_S
-                                 ? (int64_t)f->retention_s * 1000 + 1
-                                 : (int64_t)SWEEP_S * 1000;
-    int64_t now = farm_now_ms(f);
-    if (f->sweeping || f->stopping || now - f->swept_ms < grace_ms || chunks_count(f->chunks) == 0)
-        return;
-    digest *roots = mem_alloc_array(f->job_count, sizeof *roots);
-    if (!roots)
-        return;
-    for (size_t i = 0; i < f->job_count; i++)
-        roots[i] = f->jobs[i]->rec.package;
-    qsort(roots, f->job_count, sizeof *roots, by_digest);
-    size_t count = 0;
-    for (size_t i = 0; i < f->job_count; i++)
-        if (count == 0 || memcmp(&roots[count - 1], &roots[i], sizeof *roots) != 0)
-            roots[count++] = roots[i];
-    uint64_t before = now > grace_ms ? (uint64_t)(now - grace_ms) : 0;
-    f->sweeping = chunks_sweep(f->chunks, roots, count, before, swept, f) == ERR_OK;
 }
 
 void jobs_tick(struct farm *f)
