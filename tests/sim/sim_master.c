@@ -132,6 +132,7 @@ static void reset_touched(struct sim *sim, uint32_t job, uint64_t handle, bool t
         book_widen(j, &begin, &count);
         cell = begin + count - 1;
         book_reset(sim, job, begin, count);
+        sim->jobs[job].done = false; /* told again */
         if (tell)
             feed_later(sim,
                        (struct sched_event){.type = SCHED_CELLS_RESET,
