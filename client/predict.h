@@ -2,7 +2,7 @@
  *
  * The pilot is rendered on a farm of our own children, as `tilery render` would start them; what
  * the master says of it (error, the gain of samples by error, thread-seconds) is carried forward:
- * error falls as 1 / samples, time grows with them. docs/ERROR.md has the formulas and how often
+ * error falls with the samples, time grows with them. docs/ERROR.md has the formulas and how often
  * they were right. Main thread only. Tests: tests/e2e/test_e2e_adaptive.py.
  */
 #ifndef CLIENT_PREDICT_H
