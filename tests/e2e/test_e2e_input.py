@@ -212,7 +212,7 @@ USAGE = {
     "frames-mark": (("submit", "a.json", "--frames", "1-3"), "####"),
     "frames-range": (("submit", "a.#.json", "--frames", "3-1"), "A-B"),
     "frames-out": (("submit", "a.#.json", "--frames", "1-3", "--wait", "-o", "o.exr"), "-o"),
-    "tradeoff": (("tradeoff", "a.json", "-o", "folder"), "not built yet"),
+    "tradeoff": (("tradeoff", "a.json"), "-o"),
     "output without wait": (("submit", "a.json", "-o", "b.exr"), "--wait"),
     "bad priority": (("priority", "j1", "high"), "whole number"),
     "help of nothing": (("help", "rendr"), "render"),
