@@ -234,8 +234,8 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                        .built = true,
                        .choices = job_precision_names,
                        .choice_count = JOB_PRECISION_COUNT,
-                       .choice_not_built = "fast",
-                       .help = "exact: geometry decided in double (the default)"},
+                       .help = "exact: geometry decided in double (the default); fast: in float, "
+                               "with the same bits everywhere too"},
     [CLI_BUILDER] = {.name = "builder",
                      .kind = CLI_CHOICE,
                      .argument = "NAME",

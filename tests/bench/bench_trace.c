@@ -1,14 +1,15 @@
 /* bench_trace: our rays against Embree's, side by side in one process.
  *
  *   bench_trace [--quick] [--json FILE] [--runs N] [--side N] [--scene NAME]
- *               [--isa sse2|avx2|avx512] [--embree4 LIBRARY]
+ *               [--isa sse2|avx2|avx512] [--fast] [--embree4 LIBRARY]
  *               [--mesh FILE.ply --rays FILE [--shadow]]
  *
  * Each case times ours (one ray a call, and batches) and Embree (one ray a call,
  * default and ROBUST) on the same rays in turn, several times; a ratio above 1 means
  * that ours is faster. Filling each side's ray structures is timed. One thread is timed
  * by the processor's clock, which other work on the machine disturbs less. With --mesh the
- * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar.
+ * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar. --fast
+ * also times scenes with --precision fast, against exact.
  */
 #include <errno.h>
 #include <getopt.h>
@@ -26,7 +27,7 @@
 enum { RUNS_MAX = 99, PEERS_MAX = 4, THREADS_MAX = 2, CHUNK = 1024 };
 
 struct options {
-    bool quick, shadow;
+    bool quick, shadow, fast;
     int runs;
     uint32_t side;
     enum accel_isa isa;
@@ -41,6 +42,7 @@ struct bench {
     const char *peer_names[PEERS_MAX];
     bool peer_robust[PEERS_MAX];
     int peer_count;
+    struct accel *fast; /* float decides; NULL without --fast */
 };
 
 struct ratio {
@@ -185,29 +187,58 @@ static double work_time(const struct work *whole, int threads, size_t *hits)
     return trace_seconds(threads) - start;
 }
 
+/* Ours, the peers, and with --fast ours again with float deciding. */
+static struct work work_of(const struct bench *b, int way, const struct accel *a,
+                           const struct trace_rays *rays, bool shadow, int threads)
+{
+    struct work w = {.accel = a, .rays = rays, .shadow = shadow};
+    if (way < 2) {
+        w.side = (enum side)way;
+    } else if (way < 2 + b->peer_count) {
+        w.side = THEIRS;
+        w.peer = b->peers[threads - 1][way - 2];
+    } else {
+        w.side = (enum side)(way - 2 - b->peer_count);
+        w.accel = b->fast;
+    }
+    return w;
+}
+
+/* Rates and ratios of single calls and batches. */
+static void print_fast(struct bench *b, const char *scene, const char *kind, int threads,
+                       const double *exact, const double *fast, const struct ratio *ratio)
+{
+    static const char *const calls[2] = {"single", "batch"};
+    printf("%-10s %-7s %d  fast over exact:", scene, kind, threads);
+    for (int i = 0; i < 2; i++) {
+        char name[64];
+        snprintf(name, sizeof name, "%s-fast%s", kind, i ? "-batch" : "");
+        printf(" %s %.2f (%.2f-%.2f)", calls[i], ratio[i].median, ratio[i].low, ratio[i].high);
+        json_case(b, scene, "rays", name, threads, "exact", "Mrays/s", fast[i], exact[i],
+                  &ratio[i]);
+    }
+    printf("\n");
+}
+
 /* All ways to trace one set of rays, in turn, `runs` times. */
 static void time_rays(struct bench *b, const char *scene, const char *kind, const struct accel *a,
                       const struct trace_rays *rays, bool shadow, int threads)
 {
-    enum { WAYS = 2 + PEERS_MAX };
+    enum { WAYS = 4 + PEERS_MAX };
     double seconds[WAYS][RUNS_MAX], rate[WAYS];
     size_t hits[WAYS];
-    int ways = 2 + b->peer_count, runs = b->options.runs;
+    int peers_end = 2 + b->peer_count, ways = peers_end + (b->fast ? 2 : 0);
+    int runs = b->options.runs;
     if (rays->count == 0)
         return;
     for (int run = -1; run < runs; run++)
         for (int way = 0; way < ways; way++) {
-            struct work w = {way < 2 ? (enum side)way : THEIRS,
-                             a,
-                             way < 2 ? NULL : b->peers[threads - 1][way - 2],
-                             rays,
-                             shadow,
-                             0,
-                             0,
-                             0};
+            struct work w = work_of(b, way, a, rays, shadow, threads);
             seconds[way][run < 0 ? 0 : run] = work_time(&w, threads, &hits[way]);
         }
-    struct ratio ratio[2][PEERS_MAX];
+    struct ratio ratio[2][PEERS_MAX], fast[2];
+    for (int i = 0; i < 2 && b->fast; i++)
+        fast[i] = ratio_of(seconds[i], seconds[peers_end + i], runs);
     for (int peer = 0; peer < b->peer_count; peer++)
         for (int ours = 0; ours < 2; ours++)
             ratio[ours][peer] = ratio_of(seconds[2 + peer], seconds[ours], runs);
@@ -228,6 +259,8 @@ static void time_rays(struct bench *b, const char *scene, const char *kind, cons
     printf("  %4.1f%%\n", 100.0 * (double)hits[0] / (double)rays->count);
     if (hits[0] != hits[1])
         printf("  batch and single differ: %zu and %zu hits\n", hits[1], hits[0]);
+    if (b->fast)
+        print_fast(b, scene, kind, threads, rate, rate + peers_end, fast);
     fflush(stdout);
 }
 
@@ -261,10 +294,10 @@ static void pool_run(void *ctx, size_t count, void (*fn)(void *arg, size_t index
         pthread_join(helper, NULL);
 }
 
-static struct accel *build_ours(const struct trace_scene *s, enum accel_isa isa, int threads,
-                                double *seconds)
+static struct accel *build_ours(const struct trace_scene *s, enum accel_isa isa,
+                                enum job_precision precision, int threads, double *seconds)
 {
-    struct accel_options options = {.isa = isa};
+    struct accel_options options = {.isa = isa, .precision = precision};
     struct accel_runner runner = {pool_run, NULL, (uint32_t)threads};
     struct accel *a = NULL;
     double start = trace_seconds(threads);
@@ -306,7 +339,7 @@ static struct accel *time_build(struct bench *b, const char *scene, const struct
     struct accel *a = NULL;
     for (int run = 0; run < b->options.runs; run++) {
         accel_free(a);
-        a = build_ours(s, b->options.isa, threads, &ours[run]);
+        a = build_ours(s, b->options.isa, JOB_PRECISION_EXACT, threads, &ours[run]);
         medium[run] = build_theirs(b->peers[threads - 1][0], s, PEER_MEDIUM, threads);
         high[run] = build_theirs(b->peers[threads - 1][0], s, PEER_HIGH, threads);
     }
@@ -339,6 +372,9 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
     int threads_max = b->options.quick ? 1 : THREADS_MAX;
     for (int threads = 1; threads <= threads_max; threads++) {
         struct accel *a = time_build(b, trace_scene_names[id], &s, threads);
+        double seconds;
+        if (b->options.fast)
+            b->fast = build_ours(&s, b->options.isa, JOB_PRECISION_FAST, threads, &seconds);
         for (int kind = 0; kind < TRACE_RAYS_COUNT; kind++) {
             struct trace_rays rays;
             if (trace_rays_make(&rays, a, id, (enum trace_rays_id)kind, b->options.side) != ERR_OK)
@@ -348,6 +384,8 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
             trace_rays_release(&rays);
         }
         accel_free(a);
+        accel_free(b->fast);
+        b->fast = NULL;
     }
     trace_scene_release(&s);
 }
@@ -473,7 +511,7 @@ static void add_peer(struct bench *b, const char *name, const char *library, boo
 static int usage(void)
 {
     fprintf(stderr, "usage: bench_trace [--quick] [--json FILE] [--runs N] [--side N] "
-                    "[--scene NAME]\n                   [--isa sse2|avx2|avx512] "
+                    "[--scene NAME]\n                   [--isa sse2|avx2|avx512] [--fast] "
                     "[--embree4 LIBRARY]\n                   "
                     "[--mesh FILE.ply --rays FILE [--shadow]]\n");
     return 2;
@@ -493,17 +531,12 @@ static bool parse_isa(const char *name, enum accel_isa *out)
 static bool parse_options(int argc, char **argv, struct options *o)
 {
     static const struct option table[] = {
-        {"quick", no_argument, NULL, 'q'},
-        {"json", required_argument, NULL, 'j'},
-        {"runs", required_argument, NULL, 'n'},
-        {"side", required_argument, NULL, 's'},
-        {"scene", required_argument, NULL, 'c'},
-        {"isa", required_argument, NULL, 'i'},
-        {"embree4", required_argument, NULL, '4'},
-        {"mesh", required_argument, NULL, 'm'},
-        {"rays", required_argument, NULL, 'r'},
-        {"shadow", no_argument, NULL, 'o'},
-        {NULL, 0, NULL, 0},
+        {"quick", no_argument, NULL, 'q'},       {"json", required_argument, NULL, 'j'},
+        {"runs", required_argument, NULL, 'n'},  {"side", required_argument, NULL, 's'},
+        {"scene", required_argument, NULL, 'c'}, {"isa", required_argument, NULL, 'i'},
+        {"fast", no_argument, NULL, 'f'},        {"embree4", required_argument, NULL, '4'},
+        {"mesh", required_argument, NULL, 'm'},  {"rays", required_argument, NULL, 'r'},
+        {"shadow", no_argument, NULL, 'o'},      {NULL, 0, NULL, 0},
     };
     *o = (struct options){.runs = 7, .side = 512};
     int c;
@@ -527,6 +560,9 @@ static bool parse_options(int argc, char **argv, struct options *o)
         case 'i':
             if (!parse_isa(optarg, &o->isa))
                 return false;
+            break;
+        case 'f':
+            o->fast = true;
             break;
         case '4':
             o->embree4 = optarg;

@@ -207,7 +207,6 @@ USAGE = {
     "bad number": (("render", "a.json", "-o", "b.exr", "--spp", "many"), "whole number"),
     "bad choice": (("render", "a.json", "-o", "b.exr", "--sampler", "sobl"), "sobol"),
     "same file twice": (("render", "a.json", "-o", "b.exr", "--report", "b.exr"), "twice"),
-    "fast": (("render", "a.json", "-o", "b.exr", "--precision", "fast"), "not built yet"),
     "aov": (("render", "a.json", "-o", "b.exr", "--aov", "norml"), "known: depth,position"),
     "frames-mark": (("submit", "a.json", "--frames", "1-3"), "####"),
     "frames-range": (("submit", "a.#.json", "--frames", "3-1"), "A-B"),

@@ -87,6 +87,17 @@ def test_one_hash(tmp_path):
     assert len(set(hashes.values())) == 1, hashes
 
 
+def test_fast_has_one_hash_too(tmp_path):
+    """Float decides with the same bits for any workers, cells and tree."""
+    hashes = {}
+    for options in (("--workers", "1"), ("--workers", "2", "--threads", "1", "--tile", "7"),
+                    ("--workers", "1", "--threads", "3", "--builder", "median")):
+        report, _ = render(GLASS_SCENE, tmp_path / "a.exr", *SMALL, "--precision", "fast", *options)
+        assert report["spec"]["precision"] == "fast"
+        hashes[options] = report["image_sha256"]
+    assert len(set(hashes.values())) == 1, hashes
+
+
 def test_aovs(tmp_path):
     """More channels, the same on any farm; the picture's own bits do not know of them."""
     names = "depth,position,uv,object,material,normal,ng,albedo,samples,error"

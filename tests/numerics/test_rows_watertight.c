@@ -239,7 +239,7 @@ static void test_t07_boxes(void **state)
             node.bounds[2 * k][0] = lo[k];
             node.bounds[2 * k + 1][0] = hi[k];
         }
-        assert_true(trace_ray_init(org, dir, 1, 1, &ray));
+        assert_true(trace_ray_init(org, dir, 1, 1, TRACE_PAD, &ray));
         bool ours = box_hit(&ray, &node, 0, 0, __builtin_inff(), &entry);
         bool truly = box_met(ray.org, ray.dir, lo, hi, (double)INFINITY, 0);
         met += truly;

@@ -105,6 +105,186 @@ static void test_mixture_agrees(void **state)
     trace_scene_release(&s);
 }
 
+/* --- Precision fast ------------------------------------------------------------- */
+
+static struct accel *build_fast(const struct trace_scene *s, enum job_builder builder,
+                                enum accel_isa isa)
+{
+    struct accel_options options = {
+        .builder = builder, .isa = isa, .precision = JOB_PRECISION_FAST};
+    struct accel *a = NULL;
+    assert_int_equal(accel_new(&s->input, &options, NULL, &a), ERR_OK);
+    return a;
+}
+
+/* Float decides: the same bits with every tree, kernel and batch, and seldom another triangle than
+ * in double. Rays at vertices and edges may fall on either side. */
+static void check_fast(enum trace_scene_id id, size_t count)
+{
+    struct trace_scene s;
+    assert_int_equal(trace_scene_make(&s, id), ERR_OK);
+    struct ray *rays = make_rays(&s, count, 43);
+    struct accel *exact = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    struct accel *first = build_fast(&s, JOB_BUILDER_SAH, ACCEL_ISA_SSE2);
+    for (int i = 1; i < 6; i++) {
+        struct accel *a = build_fast(&s, (enum job_builder)(i / 3), isas[i % 3]);
+        assert_int_equal(kit_differences(first, a, rays, count), 0);
+        accel_free(a);
+    }
+    size_t random = 0, other = 0, far = 0;
+    for (size_t i = 0; i < count; i++) {
+        struct hit x, y;
+        if (i % 3 != 2 || i % 29 == 0) /* aimed at a vertex or an edge, or from far away */
+            continue;
+        accel_closest(exact, &rays[i], &x);
+        accel_closest(first, &rays[i], &y);
+        random++;
+        other += x.object != y.object || (x.object != SCENE_NONE && x.primitive != y.primitive);
+        far +=
+            x.object != SCENE_NONE && y.object != SCENE_NONE && fabs(x.t - y.t) > 1e-3 * fabs(x.t);
+    }
+    printf(
+        "  %s: %zu rays, fast takes another triangle on %zu of %zu random ones, far off on %zu\n",
+        trace_scene_names[id], count, other, random, far);
+    assert_true(other <= random / 200 + 1);
+    assert_true(far <= random / 1000);
+    accel_free(exact);
+    accel_free(first);
+    mem_free(rays);
+    trace_scene_release(&s);
+}
+
+/* A random point of a random triangle of the scene's first object, off its plane by what a hit may
+ * be wrong in double; its normal in *n.
+ * Returns the triangle. */
+static uint32_t surface_point(const struct trace_scene *s, uint64_t *seed, double p[3], double n[3])
+{
+    const struct accel_mesh *m = &s->input.meshes[s->input.objects[0].mesh];
+    uint32_t primitive = (uint32_t)(gen_random(seed) * m->triangle_count);
+    const uint32_t *id = &m->indices[3 * (size_t)primitive];
+    double a = gen_random(seed), b = gen_random(seed), e[2][3], length = 0;
+    if (a + b > 1) {
+        a = 1 - a;
+        b = 1 - b;
+    }
+    for (int k = 0; k < 3; k++) {
+        double v = (double)m->positions[3 * (size_t)id[0] + (size_t)k];
+        e[0][k] = (double)m->positions[3 * (size_t)id[1] + (size_t)k] - v;
+        e[1][k] = (double)m->positions[3 * (size_t)id[2] + (size_t)k] - v;
+        p[k] = v + a * e[0][k] + b * e[1][k];
+    }
+    for (int k = 0; k < 3; k++) {
+        n[k] = e[0][(k + 1) % 3] * e[1][(k + 2) % 3] - e[0][(k + 2) % 3] * e[1][(k + 1) % 3];
+        length += n[k] * n[k];
+    }
+    for (int k = 0; k < 3; k++)
+        n[k] /= sqrt(length);
+    return primitive;
+}
+
+/* From a point on a surface, off by 2^-48, to a point on another: what shadow rays are. Float must
+ * not meet either surface, so what it takes for blocked is blocked; what it misses lies within its
+ * error of an end. */
+static void check_fast_segments(enum trace_scene_id id, size_t count)
+{
+    struct trace_scene s;
+    assert_int_equal(trace_scene_make(&s, id), ERR_OK);
+    struct accel *exact = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    struct accel *fast = build_fast(&s, JOB_BUILDER_SAH, ACCEL_ISA_AUTO);
+    uint64_t seed = 44;
+    size_t open = 0, blocked = 0, ghosts = 0, missed = 0;
+    for (size_t i = 0; i < count; i++) {
+        double p[3], q[3], n[3], m[3], at_p = 0, at_q = 0;
+        surface_point(&s, &seed, p, n);
+        surface_point(&s, &seed, q, m);
+        struct ray ray = {.tmin = 0, .tmax = 1};
+        for (int k = 0; k < 3; k++) {
+            at_p += (q[k] - p[k]) * n[k];
+            at_q += (p[k] - q[k]) * m[k];
+        }
+        if (fabs(at_p) < 1e-9 || fabs(at_q) < 1e-9)
+            continue; /* both in one plane: nothing decides */
+        for (int k = 0; k < 3; k++) {
+            ray.org[k] = p[k] + copysign(0x1p-48, at_p) * n[k];
+            ray.dir[k] = q[k] + copysign(0x1p-48, at_q) * m[k] - ray.org[k];
+        }
+        bool x = accel_occluded(exact, &ray), y = accel_occluded(fast, &ray);
+        open += !x;
+        blocked += x;
+        ghosts += y && !x;
+        missed += x && !y;
+    }
+    printf("  %s: %zu open segments, %zu of them blocked in float; %zu blocked ones, %zu open\n",
+           trace_scene_names[id], open, ghosts, blocked, missed);
+    assert_true(open > count / 50 && blocked > count / 50);
+    assert_int_equal(ghosts, 0);
+    assert_true(missed <= blocked / 500);
+    accel_free(exact);
+    accel_free(fast);
+    trace_scene_release(&s);
+}
+
+/* Rays that leave a convex ball, half of them almost along its facets, meet it only where they do
+ * in double: facets of rounded vertices may rise above their neighbours' planes. */
+static void test_fast_meets_not_itself(void **state)
+{
+    (void)state;
+    const double origin[3] = {0, 0, 0};
+    struct trace_scene s;
+    struct gen_mesh ball;
+    gen_mesh_init(&ball);
+    assert_int_equal(gen_ball(&ball, 12, origin, 1.0, 0.0, 1), ERR_OK);
+    trace_scene_wrap(&s, &ball);
+    struct accel *exact = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+    struct accel *fast = build_fast(&s, JOB_BUILDER_SAH, ACCEL_ISA_AUTO);
+    uint64_t seed = 45;
+    size_t count = is_long ? 10000000 : 100000, own = 0, neighbours[2] = {0, 0};
+    for (size_t i = 0; i < count; i++) {
+        double p[3], n[3], cosine = 0;
+        struct hit hit;
+        struct ray ray = {.tmin = 0, .tmax = INFINITY};
+        uint32_t primitive = surface_point(&s, &seed, p, n);
+        for (int k = 0; k < 3; k++) {
+            ray.dir[k] = 2 * gen_random(&seed) - 1;
+            ray.org[k] = p[k] + 0x1p-48 * n[k];
+            cosine += ray.dir[k] * n[k];
+        }
+        double lift = i % 2 ? 1e-6 * gen_random(&seed) : fabs(cosine) + 0x1p-30;
+        for (int k = 0; k < 3; k++)
+            ray.dir[k] += (lift - cosine) * n[k];
+        bool x = accel_occluded(exact, &ray), y = accel_occluded(fast, &ray);
+        accel_closest(fast, &ray, &hit);
+        assert_int_equal(y, hit.object != SCENE_NONE);
+        own += y && hit.primitive == primitive;
+        neighbours[i % 2] += y && !x;
+    }
+    printf(
+        "  %zu rays leave a ball: %zu meet their own facet, a neighbour in float alone %zu of the "
+        "random half, %zu of the half along facets\n",
+        count, own, neighbours[0], neighbours[1]);
+    assert_int_equal(own, 0);
+    assert_true(neighbours[0] <= count / 10000);
+    accel_free(exact);
+    accel_free(fast);
+    trace_scene_release(&s);
+}
+
+static void test_fast_segments(void **state)
+{
+    (void)state;
+    check_fast_segments(TRACE_CORNELL, is_long ? 10000000 : 100000);
+    check_fast_segments(TRACE_BALL70K, is_long ? 1000000 : 100000);
+}
+
+static void test_fast(void **state)
+{
+    (void)state;
+    check_fast(TRACE_CORNELL, is_long ? 10000000 : 30000);
+    check_fast(TRACE_BALL70K, is_long ? 100000 : 2000);
+    check_fast(TRACE_NEEDLES, is_long ? 30000 : 600);
+    check_fast(TRACE_INSTANCES, is_long ? 600 : 29);
+}
+
 /* --- Threads ----------------------------------------------------------------- */
 
 static void test_threads_agree(void **state)
@@ -355,6 +535,9 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_scenes_agree),
         cmocka_unit_test(test_mixture_agrees),
+        cmocka_unit_test(test_fast),
+        cmocka_unit_test(test_fast_segments),
+        cmocka_unit_test(test_fast_meets_not_itself),
         cmocka_unit_test(test_threads_agree),
         cmocka_unit_test(test_order_of_triangles),
         cmocka_unit_test(test_no_leak),

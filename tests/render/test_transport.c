@@ -57,6 +57,29 @@ static void test_t14_furnace_nee(void **state)
     furnace(JOB_PROFILE_NEE, 1e-6, 1e-6);
 }
 
+/* Float decides: another triangle on a few rays of millions, and no lamp in its own shadow. */
+static void test_fast_in_the_box(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_cornell(&s, KIT_BOXES | KIT_AREA_LIGHT | KIT_GLASS_SPHERE);
+    struct job_spec spec = kit_spec(32, 16);
+    for (uint64_t seed = 1; seed <= 3; seed++) {
+        spec.seed = seed;
+        spec.precision = JOB_PRECISION_EXACT;
+        struct kit_picture exact = kit_render(&s, &spec, 0);
+        spec.precision = JOB_PRECISION_FAST;
+        struct kit_picture fast = kit_render(&s, &spec, 0);
+        double a = kit_picture_mean(&exact), b = kit_picture_mean(&fast);
+        printf("  seed %llu: mean %.8f in double, %.8f in float\n", (unsigned long long)seed, a, b);
+        assert_true(a > 0 && fabs(b - a) <= 1e-3 * a);
+        kit_picture_free(&exact);
+        kit_picture_free(&fast);
+    }
+    scene_release(&s);
+}
+
 /* Inside a sphere of albedo rho around a point light every point gets the same from every other:
  * L = rho I / (pi R^2) (1 - rho^D) / (1 - rho) with D = max_depth - 1 reflections. */
 static void test_t13_integrating_sphere(void **state)
@@ -254,6 +277,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_t14_furnace_random_walk),
         cmocka_unit_test(test_t14_furnace_mis),
         cmocka_unit_test(test_t14_furnace_nee),
+        cmocka_unit_test(test_fast_in_the_box),
         cmocka_unit_test(test_t13_integrating_sphere),
         cmocka_unit_test(test_t20_profiles_in_the_box),
         cmocka_unit_test(test_t20_profiles_on_metal),

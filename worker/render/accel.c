@@ -334,12 +334,15 @@ static const struct trace_kernel *kernel_choose(const struct accel_options *o)
 {
     if (o->builder == JOB_BUILDER_NONE || o->intersector == JOB_INTERSECTOR_MOLLER_TRUMBORE)
         return &trace_plain;
+    bool fast = o->precision == JOB_PRECISION_FAST;
     enum accel_isa isa = o->isa == ACCEL_ISA_AUTO ? ACCEL_ISA_AVX512 : o->isa;
     bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
     if (isa >= ACCEL_ISA_AVX512 && avx2 && __builtin_cpu_supports("avx512f") &&
         __builtin_cpu_supports("avx512vl"))
-        return &trace_avx512;
-    return isa >= ACCEL_ISA_AVX2 && avx2 ? &trace_avx2 : &trace_sse2;
+        return fast ? &trace_avx512_fast : &trace_avx512;
+    if (isa >= ACCEL_ISA_AVX2 && avx2)
+        return fast ? &trace_avx2_fast : &trace_avx2;
+    return fast ? &trace_sse2_fast : &trace_sse2;
 }
 
 enum err accel_new(const struct accel_input *input, const struct accel_options *options,
@@ -357,6 +360,7 @@ enum err accel_new_saved(const struct accel_input *input, const struct accel_opt
         return ERR_NOMEM;
     a->options = *options;
     a->kernel = kernel_choose(options);
+    a->pad = options->precision == JOB_PRECISION_FAST ? TRACE_PAD_FAST : TRACE_PAD;
     enum err err = build(a, input, runner, saved, saved_bytes);
     if (err)
         accel_free(a);
@@ -392,7 +396,7 @@ bool accel_ray(const struct accel *a, const struct ray *ray, struct trace_ray *o
 {
     if (!isfinite(ray->org[0]) || !isfinite(ray->org[1]) || !isfinite(ray->org[2]) ||
         !(ray->tmin < ray->tmax) ||
-        !trace_ray_init(ray->org, ray->dir, 1.0, a->scene_tree.reach, out))
+        !trace_ray_init(ray->org, ray->dir, 1.0, a->scene_tree.reach, a->pad, out))
         return false;
     *tmin = ray->tmin * out->unscale;
     *tmax = ray->tmax * out->unscale;
@@ -419,7 +423,7 @@ bool accel_instance_ray(const struct accel *a, uint32_t object, const struct tra
     transform_point(o->from_scene, ray->org, org);
     transform_vector(o->from_scene, ray->dir, dir);
     if (!isfinite(org[0]) || !isfinite(org[1]) || !isfinite(org[2]) ||
-        !trace_ray_init(org, dir, ray->scale, a->mesh_trees[o->mesh].reach, out))
+        !trace_ray_init(org, dir, ray->scale, a->mesh_trees[o->mesh].reach, a->pad, out))
         return false;
     *rescale = out->rescale;
     return true;

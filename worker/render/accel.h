@@ -4,7 +4,9 @@
  * answers closest-hit and any-hit queries. Every builder, kernel, SIMD width and
  * batch size returns the same hit bit for bit: boxes and a float filter only
  * discard what the watertight test in double (Woop, Benthin, Wald, JCGT 2(1)
- * 2013) could not accept; ties in t go to the lowest (object, primitive).
+ * 2013) could not accept; ties in t go to the lowest (object, primitive). Under precision
+ * fast that test runs in float: the same bits in every kernel and batch still, but not
+ * those of the builders without SIMD, nor of exact.
  *
  * Space: scene space. The caller has moved the scene's centre to the origin and
  * scaled it by a power of two so that coordinates are about 1 (worker/scene), and
@@ -62,7 +64,7 @@ struct accel_options {
     enum job_builder builder;
     enum job_intersector
         intersector;              /* moller-trumbore: the source report's test, epsilon and all */
-    enum job_precision precision; /* fast allows less than exact; both give the exact answer */
+    enum job_precision precision; /* fast: float decides; see docs/TRACING.md, 6 */
     enum accel_isa isa;
 };
 

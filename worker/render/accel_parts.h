@@ -23,6 +23,7 @@ struct trace_kernel {
 };
 
 extern const struct trace_kernel trace_plain, trace_sse2, trace_avx2, trace_avx512;
+extern const struct trace_kernel trace_sse2_fast, trace_avx2_fast, trace_avx512_fast;
 
 /* An instance's matrices by column, for whole vectors to be loaded. */
 struct accel_motion {
@@ -32,6 +33,7 @@ struct accel_motion {
 struct accel {
     const struct trace_kernel *kernel;
     struct accel_options options;
+    double pad;                /* of rays: see trace.h */
     struct accel_mesh *meshes; /* copies of the input's arrays */
     struct accel_object *objects;
     size_t mesh_count, object_count;

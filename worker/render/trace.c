@@ -38,7 +38,7 @@ static inline void slabs_ready(struct trace_ray *r, __m128 org, __m128 dir, floa
 }
 
 bool trace_ray_init(const double org[3], const double dir[3], double outer, double reach,
-                    struct trace_ray *out)
+                    double pad, struct trace_ray *out)
 {
     static const uint32_t after[3] = {1, 2, 0};
     const uint64_t infinite = UINT64_C(0x7ff) << 52;
@@ -82,13 +82,14 @@ bool trace_ray_init(const double org[3], const double dir[3], double outer, doub
     out->filter_shear[0] = (float)out->shear[0];
     out->filter_shear[1] = (float)out->shear[1];
     out->filter_shear[2] = (float)out->shear[2];
-    out->filter_depth = (float)(0x1p-20 * size);
+    out->filter_slack = (float)(0x1p-20 * size);
+    out->filter_depth = __builtin_fabsf(out->filter_shear[2]) * out->filter_slack;
     /* The last term covers products that underflow. */
     out->filter_slope = (float)(100.0 * 0x1p-24 * size);
     out->filter_floor = (float)(256.0 * 0x1p-48 * size * size + 0x1p-140);
     /* The pad is rounded twice: a ninth unit covers that. */
     slabs_ready(out, _mm_setr_ps((float)org[0], (float)org[1], (float)org[2], 0.0f),
                 _mm_setr_ps((float)out->dir[0], (float)out->dir[1], (float)out->dir[2], 0.0f),
-                9.0f * 0x1p-24f * (float)size);
+                (float)(pad * 0x1p-24 * size));
     return true;
 }

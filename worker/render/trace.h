@@ -29,6 +29,7 @@ struct trace_ray {
     double rescale, unscale; /* what dir was scaled by here, and its inverse */
     double scale; /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
     float filter_depth;               /* a triangle's depths are wrong by less than this in float */
+    float filter_slack;               /* 2^-20 R */
     float filter_slope, filter_floor; /* of a block with edges <= e: an edge function's float error
                                          is below slope * e + floor */
 } __attribute__((aligned(32)));
@@ -44,9 +45,13 @@ struct trace_best {
     double v, w, det; /* with a leaf: the edge functions of vertices 1 and 2, and their sum */
 };
 
+/* Units of 2^-24 R by which boxes are widened; where float decides, by its errors too. */
+enum { TRACE_PAD = 9, TRACE_PAD_FAST = 41 };
+
 /* Readies a ray for a tree of that reach: scales `dir`, which the caller has scaled by `outer`
- * already. False if `dir` is zero or not finite; then *out is garbage. */
+ * already. `pad` is one of the above. False if `dir` is zero or not finite; then *out is garbage.
+ */
 bool trace_ray_init(const double org[3], const double dir[3], double outer, double reach,
-                    struct trace_ray *out);
+                    double pad, struct trace_ray *out);
 
 #endif

@@ -120,7 +120,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
     struct slabs slabs;
     slabs_init(&slabs, r);
     struct leaf_span span = leaf_span_of(tmin, best->t);
-    struct leaf_pending pending = {NULL, 0, 0.0f, 0.0f};
+    struct leaf_pending pending = {.leaf = NULL};
     f8 from = f8_splat(span.from), entry;
     for (;;) {
         switch ((enum bvh_kind)(ref & 3)) {

@@ -74,7 +74,8 @@ static inline void ready_slabs(struct trace_ray *out, f4 org, f4 dir, f4 pad_siz
 }
 
 /* trace_ray_init for a finite org, whose fourth lane, as dir's, may hold anything. */
-static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct trace_ray *out)
+static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, double pad,
+                             struct trace_ray *out)
 {
     const d4 infinite = d4_splat(__builtin_inf());
     d4 size = ready_abs(dir), most = ready_largest(size);
@@ -109,7 +110,7 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct 
     _mm_store_si128((__m128i *)out->axis, _mm_load_si128((const __m128i *)ready_axis[z]));
     d4 far = d4_add(ready_largest(ready_abs(org)), d4_splat(reach));
     far = _mm256_permute4x64_pd(far, 0);
-    d4 bounds = d4_mul(far, _mm256_setr_pd(0x1p-30, 0x1p-20, 100.0 * 0x1p-24, 9.0 * 0x1p-24));
+    d4 bounds = d4_mul(far, _mm256_setr_pd(0x1p-30, 0x1p-20, 100.0 * 0x1p-24, pad * 0x1p-24));
     f4 bounds_f = _mm256_cvtpd_ps(bounds);
     double reach_far = _mm256_cvtsd_f64(far);
     out->slack = _mm256_cvtsd_f64(bounds);
@@ -118,8 +119,8 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct 
     _mm_store_ps(out->filter_org, _mm256_cvtpd_ps(porg));
     f4 filter_shear = _mm256_cvtpd_ps(shear), sz = _mm_movehl_ps(filter_shear, filter_shear);
     _mm_store_ps(out->filter_shear, filter_shear);
-    out->filter_depth =
-        __builtin_fabsf(_mm_cvtss_f32(sz)) * _mm_cvtss_f32(_mm_movehdup_ps(bounds_f));
+    out->filter_slack = _mm_cvtss_f32(_mm_movehdup_ps(bounds_f));
+    out->filter_depth = __builtin_fabsf(_mm_cvtss_f32(sz)) * out->filter_slack;
     ready_slabs(out, _mm256_cvtpd_ps(org), _mm256_cvtpd_ps(scaled),
                 _mm_shuffle_ps(bounds_f, bounds_f, 0xff));
     return true;
@@ -128,8 +129,8 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct 
 static inline bool ready_scene_ray(const struct accel *a, const struct ray *ray,
                                    struct trace_ray *out, double *tmin, double *tmax)
 {
-    if (!(ray->tmin < ray->tmax) ||
-        !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0, a->scene_tree.reach, out))
+    if (!(ray->tmin < ray->tmax) || !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0,
+                                               a->scene_tree.reach, a->pad, out))
         return false;
     *tmin = ray->tmin * out->unscale;
     *tmax = ray->tmax * out->unscale;
@@ -147,7 +148,7 @@ static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
     org = d4_add(d4_add(org, d4_mul(z, d4_splat(p[2]))), _mm256_load_pd(from[3]));
     d4 dir = d4_add(d4_mul(x, d4_splat(v[0])), d4_mul(y, d4_splat(v[1])));
     dir = d4_add(dir, d4_mul(z, d4_splat(v[2])));
-    return ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, out);
+    return ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, a->pad, out);
 }
 
 static inline d4 ready_turn(const double to[3][4], d4 v)

@@ -2,9 +2,9 @@
  *
  * f8: eight floats (child boxes), f4: four floats (a block's filter), and with AVX2 d4:
  * four doubles (a ray's axes). Chosen by the instruction set the including file is
- * compiled for. f8 and f4 may fuse (their errors are bounded either way); d4 never
- * does, so its bits are those of scalars. min and max are a < b ? a : b and
- * a > b ? a : b: an `a` that is not a number gives b.
+ * compiled for. f8 and f4 may fuse (their errors are bounded either way), f4 not where it decides;
+ * d4 never does, so its bits are those of scalars. min and max are a < b ? a : b and a > b ? a : b:
+ * an `a` that is not a number gives b.
  */
 #ifndef WORKER_RENDER_TRACE_SIMD_H
 #define WORKER_RENDER_TRACE_SIMD_H
@@ -51,19 +51,6 @@ static inline unsigned f8_less_equal(f8 a, f8 b)
 #else
     return (unsigned)_mm256_movemask_ps(_mm256_cmp_ps(a, b, _CMP_LE_OQ));
 #endif
-}
-/* c - a * b */
-static inline f4 f4_nmuladd(f4 a, f4 b, f4 c)
-{
-    return _mm_fnmadd_ps(a, b, c);
-}
-static inline f4 f4_mulsub(f4 a, f4 b, f4 c)
-{
-    return _mm_fmsub_ps(a, b, c);
-}
-static inline f4 f4_muladd(f4 a, f4 b, f4 c)
-{
-    return _mm_fmadd_ps(a, b, c);
 }
 static inline d4 d4_splat(double x)
 {
@@ -139,6 +126,28 @@ static inline unsigned f8_less_equal(f8 a, f8 b)
     return (unsigned)_mm_movemask_ps(_mm_cmple_ps(a.a, b.a)) |
            (unsigned)_mm_movemask_ps(_mm_cmple_ps(a.b, b.b)) << 4;
 }
+#undef PAIR
+
+#endif
+
+#if defined(__FMA__) && !defined(TRACE_FAST)
+
+/* c - a * b */
+static inline f4 f4_nmuladd(f4 a, f4 b, f4 c)
+{
+    return _mm_fnmadd_ps(a, b, c);
+}
+static inline f4 f4_mulsub(f4 a, f4 b, f4 c)
+{
+    return _mm_fmsub_ps(a, b, c);
+}
+static inline f4 f4_muladd(f4 a, f4 b, f4 c)
+{
+    return _mm_fmadd_ps(a, b, c);
+}
+
+#else
+
 static inline f4 f4_nmuladd(f4 a, f4 b, f4 c)
 {
     return _mm_sub_ps(c, _mm_mul_ps(a, b));
@@ -151,7 +160,6 @@ static inline f4 f4_muladd(f4 a, f4 b, f4 c)
 {
     return _mm_add_ps(_mm_mul_ps(a, b), c);
 }
-#undef PAIR
 
 #endif
 

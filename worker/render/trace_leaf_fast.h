@@ -1,0 +1,164 @@
+/* worker/render/trace_leaf_fast.h: what float decides for --precision fast.
+ *
+ * Woop's test in float, nothing fused, so that its bits are the same in every kernel:
+ * watertight by the same argument as in double. z is held within the vertices' depths; a
+ * lane whose point then lies outside its triangle's box (padded by the ray's slack), or
+ * whose det is 0, is decided in double. What is not within the segment by more than the
+ * error bound of its t is not met: neither the surface a ray starts on nor the lamp it is
+ * aimed at. Where that bound is coarse, for needles and along a surface, double decides. So
+ * hits are a function of ray, segment, triangle and reach alone here too. A hit's weights are
+ * float's: its point is on its triangle as closely as in double, but beside the ray.
+ *
+ * Included by trace_leaf.h alone. Pure; any thread. Bounds: docs/TRACING.md. Tests: test_accel.
+ */
+#ifndef WORKER_RENDER_TRACE_LEAF_FAST_H
+#define WORKER_RENDER_TRACE_LEAF_FAST_H
+
+/* An open interval of t, and floats around it for boxes; `to` comes down with hits. */
+struct leaf_span {
+    double tmin;
+    float from, to;
+    float first, last; /* the interval in float, rounded alike at every scale of t */
+};
+
+static inline struct leaf_span leaf_span_of(double tmin, double tmax)
+{
+    float last = (float)tmax;
+    last = (double)last > tmax ? last * (1.0f - 0x1p-23f) : last;
+    return (struct leaf_span){tmin, round_down(tmin), round_up(tmax), (float)tmin, last};
+}
+
+struct leaf_float {
+    f4 t, v, w, det;   /* as leaf_hit has them */
+    unsigned accepted; /* lanes */
+    unsigned open;     /* lanes for double to decide */
+};
+
+static inline f4 leaf_least(f4 a, f4 b, f4 c)
+{
+    return _mm_min_ps(_mm_min_ps(a, b), c);
+}
+
+static inline f4 leaf_most(f4 a, f4 b, f4 c)
+{
+    return _mm_max_ps(_mm_max_ps(a, b), c);
+}
+
+/* Is z * shear within the extent of the relative coordinates along `axis`, but for slack? */
+static inline f4 leaf_within(const struct trace_ray *r, const struct bvh_leaf *leaf, int axis, f4 z)
+{
+    uint32_t row = r->axis[axis];
+    f4 v0 = _mm_load_ps(leaf->v[0][row]), v1 = _mm_load_ps(leaf->v[1][row]);
+    f4 v2 = _mm_load_ps(leaf->v[2][row]), org = _mm_set1_ps(r->filter_org[axis]);
+    f4 slack = _mm_set1_ps(r->filter_slack), at = _mm_mul_ps(_mm_set1_ps(r->filter_shear[axis]), z);
+    f4 low = _mm_sub_ps(_mm_sub_ps(leaf_least(v0, v1, v2), org), slack);
+    f4 high = _mm_add_ps(_mm_sub_ps(leaf_most(v0, v1, v2), org), slack);
+    return _mm_and_ps(_mm_cmple_ps(low, at), _mm_cmple_ps(at, high));
+}
+
+/* A bound of more slacks than this is coarse: 2^-16 R, for a depth. */
+#define FAST_SLACKS 16.0f
+
+/* By how much z may be wrong. With edge functions off by at most m and z* the true depth, z - z*
+ * is the sum of (error of weight i) (z_i - z*) / det: at most 3 m spread / |det|, whatever det is;
+ * and both lie within the vertices' depths. With X the largest sheared coordinate, m = 50 u R X and
+ * the floor; two slacks cover what rounds in z and t themselves. */
+static inline f4 leaf_depth_error(const struct trace_ray *r, const struct leaf_edges *e, f4 spread,
+                                  f4 inverse)
+{
+    f4 size = _mm_andnot_ps(_mm_set1_ps(-0.0f), inverse);
+    f4 m = _mm_mul_ps(e->beside, _mm_set1_ps(1.5f * r->filter_slope));
+    m = _mm_add_ps(m, _mm_set1_ps(3.0f * r->filter_floor));
+    /* What is not a number gives the spread. */
+    f4 error = _mm_min_ps(_mm_mul_ps(_mm_mul_ps(m, spread), size), spread);
+    return _mm_add_ps(error, _mm_set1_ps(2.0f * r->filter_slack));
+}
+
+static inline bool leaf_decide_float(const struct trace_ray *r, const struct bvh_leaf *leaf,
+                                     uint32_t edge_bits, const struct leaf_span *s,
+                                     struct leaf_float *out)
+{
+    const f4 zero = _mm_setzero_ps();
+    struct leaf_edges e;
+    leaf_filter(r, leaf, edge_bits, &e);
+    f4 mixed = _mm_and_ps(f4_less_mask(e.least, zero), f4_less_mask(zero, e.most));
+    unsigned lanes = ~(unsigned)_mm_movemask_ps(mixed) & 0xf;
+    if (!lanes)
+        return false;
+    f4 det = _mm_add_ps(_mm_add_ps(e.u, e.v), e.w);
+    f4 inverse = _mm_div_ps(_mm_set1_ps(1.0f), det);
+    f4 sum = _mm_add_ps(_mm_mul_ps(e.u, e.z[0]), _mm_mul_ps(e.v, e.z[1]));
+    f4 z = _mm_mul_ps(_mm_add_ps(sum, _mm_mul_ps(e.w, e.z[2])), inverse);
+    f4 least = leaf_least(e.z[0], e.z[1], e.z[2]), most = leaf_most(e.z[0], e.z[1], e.z[2]);
+    z = _mm_min_ps(_mm_max_ps(z, least), most);
+    f4 sound = _mm_and_ps(leaf_within(r, leaf, 0, z), leaf_within(r, leaf, 1, z));
+    sound = _mm_and_ps(sound, _mm_cmpneq_ps(det, zero));
+    f4 shear = _mm_set1_ps(r->filter_shear[2]);
+    f4 error = leaf_depth_error(r, &e, _mm_sub_ps(most, least), inverse);
+    f4 coarse = f4_less_mask(_mm_set1_ps(FAST_SLACKS * r->filter_slack), error);
+    error = _mm_mul_ps(error, _mm_andnot_ps(_mm_set1_ps(-0.0f), shear));
+    out->t = _mm_mul_ps(z, shear);
+    out->v = e.v;
+    out->w = e.w;
+    out->det = det;
+    f4 low = _mm_sub_ps(out->t, error), high = _mm_add_ps(out->t, error);
+    f4 first = _mm_set1_ps(s->first), last = _mm_set1_ps(s->last);
+    unsigned within =
+        (unsigned)_mm_movemask_ps(_mm_and_ps(f4_less_mask(first, low), f4_less_mask(high, last)));
+    /* Ends that a coarse bound cannot place are for double. */
+    f4 outside = _mm_or_ps(f4_less_mask(high, first), f4_less_mask(last, low));
+    unsigned unsure = (unsigned)_mm_movemask_ps(_mm_andnot_ps(outside, coarse)) & ~within;
+    unsigned placed = (unsigned)_mm_movemask_ps(sound);
+    out->open = lanes & (~placed | unsure);
+    out->accepted = lanes & placed & within;
+    return (out->open | out->accepted) != 0;
+}
+
+/* Does any of the four triangles block the span, which ends at tmax? */
+static inline bool leaf_blocks(const struct trace_ray *r, const struct bvh_leaf *leaf,
+                               uint32_t edge_bits, const struct leaf_span *s, double tmax)
+{
+    struct leaf_float f;
+    if (!leaf_decide_float(r, leaf, edge_bits, s, &f))
+        return false;
+    return f.accepted || leaf_decide_any(r, leaf, f.open, s->tmin, tmax);
+}
+
+/* Nothing waits here. */
+struct leaf_pending {
+    const struct bvh_leaf *leaf;
+};
+
+static inline void pending_settle(const struct accel *a, const struct trace_ray *r, double tmin,
+                                  uint32_t object, struct leaf_pending *p, struct trace_best *best)
+{
+    (void)a, (void)r, (void)tmin, (void)object, (void)p, (void)best;
+}
+
+/* Four triangles against the best hit so far. */
+static inline void leaf_closest(const struct accel *a, const struct trace_ray *r,
+                                const struct bvh_leaf *leaf, uint32_t edge_bits, uint32_t object,
+                                struct leaf_span *s, struct leaf_pending *p,
+                                struct trace_best *best)
+{
+    struct leaf_float f;
+    (void)p;
+    if (!leaf_decide_float(r, leaf, edge_bits, s, &f))
+        return;
+    float t[4], v[4], w[4], det[4];
+    _mm_storeu_ps(t, f.t);
+    _mm_storeu_ps(v, f.v);
+    _mm_storeu_ps(w, f.w);
+    _mm_storeu_ps(det, f.det);
+    for (unsigned lanes = f.accepted; lanes; lanes &= lanes - 1) {
+        uint32_t lane = (uint32_t)__builtin_ctz(lanes);
+        struct leaf_hit hit = {(double)t[lane], (double)v[lane], (double)w[lane],
+                               (double)det[lane]};
+        leaf_offer(a, &hit, s->tmin, object, leaf, lane, best);
+    }
+    if (__builtin_expect(f.open, 0))
+        leaf_decide(a, r, leaf, f.open, s->tmin, object, best);
+    s->to = round_up(best->t);
+}
+
+#endif
