@@ -138,8 +138,9 @@ static int report(const struct cli *cli, const struct picture *x, const struct p
 static int compare(const struct cli *cli, const struct picture *x, const struct picture *r)
 {
     if (x->width != r->width || x->height != r->height) {
-        cli_error("sizes-differ", NULL, "%s is %ux%u, %s is %ux%u", cli->line.arguments[0],
-                  x->width, x->height, cli->line.arguments[1], r->width, r->height);
+        cli_error("sizes-differ", "render both with the same --size and --crop",
+                  "%s is %ux%u, %s is %ux%u", cli->line.arguments[0], x->width, x->height,
+                  cli->line.arguments[1], r->width, r->height);
         return cli_flag(&cli->line, CLI_IDENTICAL) ? EXIT_FAILED : EXIT_INPUT;
     }
     if (cli_has(&cli->line, CLI_HEATMAP)) {

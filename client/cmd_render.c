@@ -286,10 +286,12 @@ static int wait_job(struct render *r, bool *done)
     progress_init(&r->progress, (enum progress_mode)command_progress_mode(r->cli),
                   r->cli->json ? STDOUT_FILENO : STDERR_FILENO, r->start_s);
     if (r->progress.mode == PROGRESS_LINES)
-        cli_say(r->cli, "%s: %ux%u, %s%llu spp, %u workers with %u threads",
+        cli_say(r->cli, "%s: %ux%u, %s%llu spp, %u worker%s with %u thread%s",
                 cli_safe(r->cli->line.arguments[0]), r->load.spec.crop.width,
                 r->load.spec.crop.height, r->load.spec.stop == JOB_STOP_SPP ? "" : "at most ",
-                (unsigned long long)r->load.spec.spp, r->farm.worker_count, r->farm.threads);
+                (unsigned long long)r->load.spec.spp, r->farm.worker_count,
+                r->farm.worker_count == 1 ? "" : "s", r->farm.threads,
+                r->farm.threads == 1 ? "" : "s");
     struct follow follow = {.farm = &r->api,
                             .job = r->job,
                             .progress = &r->progress,

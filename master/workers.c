@@ -435,8 +435,8 @@ static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
     struct sched_event event = {.type = SCHED_WORKER_JOIN, .worker = w->id, .threads = w->threads};
     farm_feed(f, &event);
     char line[160];
-    (void)snprintf(line, sizeof line, "w%" PRIu64 " (%s) joined, %" PRIu32 " threads", w->id,
-                   w->name, w->threads);
+    (void)snprintf(line, sizeof line, "w%" PRIu64 " (%s) joined, %" PRIu32 " thread%s", w->id,
+                   w->name, w->threads, w->threads == 1 ? "" : "s");
     tell_jobs(f, line);
     tell(f, w, "joined", 0);
 }

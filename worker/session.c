@@ -287,7 +287,8 @@ static void log_loss(struct session *s, bool was_registered, enum err why)
 {
     if (was_registered)
         log_warn("session", "connection lost master=%s why=%s results=%" PRIu32, s->options.master,
-                 err_name(why), work_result_count(s->work));
+                 why == ERR_OK ? "closed by the master" : err_name(why),
+                 work_result_count(s->work));
     else if (s->lost_count == 1)
         log_warn("session", "cannot register master=%s why=%s, trying on every %d ms",
                  s->options.master, err_name(why), RECONNECT_MS_MAX);

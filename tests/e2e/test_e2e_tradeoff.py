@@ -273,5 +273,6 @@ def test_compare_refusals(tmp_path):
     (tmp_path / "other.exr").write_bytes(data.replace(b"B\0\2\0\0\0", b"X\0\2\0\0\0", 1))
     done = tilery("compare", tmp_path / "a.exr", tmp_path / "wide.exr")
     assert done.returncode == 3 and "6x4" in done.stderr and "5x4" in done.stderr
+    assert "same --size and --crop" in done.stderr
     done = tilery("compare", tmp_path / "other.exr", tmp_path / "a.exr")
     assert done.returncode == 3 and 'no channel "B"' in done.stderr
