@@ -31,7 +31,7 @@ static const char *const doctor_examples =
 static const char *const submit_examples =
     "  tilery submit scene.json --name spot            prints the job's id\n"
     "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n"
-    "  tilery submit shot.####.json --frames 1-24      an animation, one job\n";
+    "  tilery submit shot.####.json --frames 1-24      an animation, a job a frame\n";
 static const char *const tradeoff_examples =
     "  tilery tradeoff scene.json -o study               then open study/index.html\n"
     "  tilery tradeoff scene.json -o study --budget 600  narrower intervals\n"
@@ -412,7 +412,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                     .kind = CLI_PATH,
                     .argument = "FILE",
                     .section = "farm",
-                    .commands = FARM_COMMANDS,
+                    .commands = FARM_COMMANDS | BIT(TRADEOFF),
                     .built = true,
                     .setting = true,
                     .help = "PEM: under https:// trust this authority alone, not the system's"},

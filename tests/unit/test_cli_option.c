@@ -174,12 +174,24 @@ static void test_tables(void **state)
     }
 }
 
+/* `tradeoff` took --master but no --tls-ca, so a farm behind its own authority refused the study.
+ */
+static void test_every_caller_of_a_farm_can_name_its_authority(void **state)
+{
+    (void)state;
+    assert_int_equal(cli_options[CLI_TOKEN_FILE].commands, cli_options[CLI_MASTER].commands);
+    assert_int_equal(cli_options[CLI_TLS_CA].commands, cli_options[CLI_MASTER].commands);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_values),   cmocka_unit_test(test_forms),
-        cmocka_unit_test(test_refusals), cmocka_unit_test(test_all_problems),
+        cmocka_unit_test(test_values),
+        cmocka_unit_test(test_forms),
+        cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_all_problems),
         cmocka_unit_test(test_tables),
+        cmocka_unit_test(test_every_caller_of_a_farm_can_name_its_authority),
     };
     return cmocka_run_group_tests_name("cli_option", tests, NULL, NULL);
 }
