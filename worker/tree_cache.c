@@ -126,7 +126,13 @@ enum err tree_cache_get(struct tree_cache *c, const digest *key, char **owner, c
     size_t file_bytes = 0;
     if (!path)
         return ERR_NOMEM;
-    enum err e = file_read(path, UINT64_MAX, owner, &file_bytes);
+    /* A larger one was never put here: it is dropped unread. */
+    enum err e = file_read(path, c->bytes_max, owner, &file_bytes);
+    if (e == ERR_LIMIT) {
+        log_warn("cache", "tree dropped: larger than the cache file=%s", path);
+        (void)unlink(path);
+        e = ERR_NOT_FOUND;
+    }
     if (e == ERR_OK) {
         digest found = {{0}}, said = {{1}};
         if (file_bytes > DIGEST_BYTES) {

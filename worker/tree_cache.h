@@ -6,7 +6,7 @@
  * broken tree under its name; one that the disk has changed is dropped. Bounded: the files
  * used longest ago go first.
  *
- * Blocking; any thread, one call at a time. Tests: test_tree_cache.
+ * Blocking; any thread, one call at a time. Tests: test_trees.
  */
 #ifndef WORKER_TREE_CACHE_H
 #define WORKER_TREE_CACHE_H
@@ -22,7 +22,8 @@ TL_NODISCARD enum err tree_cache_new(const char *folder, uint64_t bytes_max,
 void tree_cache_free(struct tree_cache *c);
 
 /* The saved tree of a key: *data and *bytes lie in *owner, which you free (mem_free).
- * ERR_NOT_FOUND: none, or no longer itself (and dropped); ERR_NOMEM, ERR_IO. */
+ * ERR_NOT_FOUND: none, or no longer itself or larger than the bound (and dropped); ERR_NOMEM,
+ * ERR_IO. */
 TL_NODISCARD enum err tree_cache_get(struct tree_cache *c, const digest *key, char **owner,
                                      const void **data, size_t *bytes);
 

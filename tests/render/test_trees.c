@@ -247,6 +247,18 @@ static void the_folder_is_bounded_and_checked(void **ctx)
     assert_int_equal(truncate(path, 7), 0);
     assert_false(has(c, 1, 3000));
     mem_free(path);
+
+    /* A file of 1 TiB that takes no room on the disk: never read into memory. */
+    assert_int_equal(put(c, 5, 3000), ERR_OK);
+    path = file_of(folder, 5);
+    assert_int_equal(truncate(path, INT64_C(1) << 40), 0);
+    digest key = {{5}};
+    char *owner = NULL;
+    const void *data = NULL;
+    size_t found = 0;
+    assert_int_equal(tree_cache_get(c, &key, &owner, &data, &found), ERR_NOT_FOUND);
+    assert_int_not_equal(access(path, F_OK), 0); /* dropped */
+    mem_free(path);
     tree_cache_free(c);
     char *inside = mem_sprintf("%s/trees", folder);
     assert_int_equal(rmdir(inside), 0);
