@@ -20,6 +20,8 @@ static const double TIME_SPREAD = 0.2, ERROR_SPREAD = 0.4;
 static const double POWER = 1.3;
 /* What a claim costs: its upper bound must be under the target, and looks come in steps. */
 static const double CLAIM_FACTOR = 1.2;
+/* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
+static const double PILOT_PIXELS_MAX = 512.0 * 512.0;
 /* Where a render to a target ends, of the target. */
 static const double CLAIM_ERROR = 0.85;
 
@@ -88,11 +90,43 @@ static struct pilot pilot_of(const struct json *report, double threads)
     return p;
 }
 
+static uint32_t scaled(uint32_t side, double factor)
+{
+    double s = floor(side * factor);
+    return s > 1 ? (uint32_t)s : 1;
+}
+
+static double pixels_of(const struct job_spec *spec)
+{
+    return (double)spec->crop.width * spec->crop.height;
+}
+
+/* The pilot of a large picture is the same view, smaller: its cost and error a pixel are nearly the
+ * same, and its film fits everywhere. */
+static void shrink(struct job_spec *s)
+{
+    double factor = sqrt(PILOT_PIXELS_MAX / pixels_of(s));
+    if (factor >= 1)
+        return;
+    s->width = scaled(s->width, factor);
+    s->height = scaled(s->height, factor);
+    struct job_crop *c = &s->crop;
+    *c = (struct job_crop){.x = (uint32_t)(c->x * factor),
+                           .y = (uint32_t)(c->y * factor),
+                           .width = scaled(c->width, factor),
+                           .height = scaled(c->height, factor)};
+    c->x = c->x < s->width ? c->x : s->width - 1;
+    c->y = c->y < s->height ? c->y : s->height - 1;
+    c->width = c->width < s->width - c->x ? c->width : s->width - c->x;
+    c->height = c->height < s->height - c->y ? c->height : s->height - c->y;
+}
+
 int predict_run(struct cli *cli, const struct job_spec *spec, struct prediction *out)
 {
     struct study_farm farm;
     struct progress progress;
     struct farm_json report;
+    struct job_spec pilot = *spec;
     if (signals_install() != ERR_OK) {
         cli_error("machine", NULL, "cannot watch for signals: %s", strerror(errno));
         return EXIT_MACHINE;
@@ -100,7 +134,7 @@ int predict_run(struct cli *cli, const struct job_spec *spec, struct prediction 
     progress_init(&progress, PROGRESS_NONE, -1, 0);
     int status = study_farm_open(&farm, cli, &progress);
     if (status == EXIT_DONE) {
-        struct job_spec pilot = *spec;
+        shrink(&pilot);
         pilot.stop = JOB_STOP_PILOT;
         pilot.spp = JOB_ADAPTIVE_SPP_DEFAULT;
         pilot.target_error = pilot.time_limit_s = 0;
@@ -108,6 +142,7 @@ int predict_run(struct cli *cli, const struct job_spec *spec, struct prediction 
     }
     if (status == EXIT_DONE) {
         struct pilot p = pilot_of(report.json.root, farm.threads);
+        p.core_s *= pixels_of(spec) / pixels_of(&pilot);
         *out = predict(&p, spec);
         farm_json_release(&report);
     }
