@@ -27,13 +27,29 @@ static void put_spp(const struct json *r, struct buf *out)
         buf_printf(out, ", %.0f to %.0f spp (mean %.0f)", low, high, isnan(mean) ? low : mean);
 }
 
+/* A crop's file has the size of the crop: that is said, and of what it is a part. */
+static void put_size(const struct json *r, struct buf *out)
+{
+    double width = reply_number(r, "width", 0), height = reply_number(r, "height", 0);
+    const struct json *spec = part(r, "spec");
+    const struct json *crop = spec ? json_get_member(spec, "crop") : NULL;
+    if (crop && crop->type == JSON_ARRAY && crop->count == 4) {
+        const struct json *w = crop->first->next->next;
+        if (w->number != width || w->next->number != height) {
+            buf_printf(out, "%.0fx%.0f of %.0fx%.0f", w->number, w->next->number, width, height);
+            return;
+        }
+    }
+    buf_printf(out, "%.0fx%.0f", width, height);
+}
+
 static void put_head(const struct json *r, const char *title, struct buf *out)
 {
     char text[HUMAN_BYTES];
     const char *state = reply_text(r, "state", "");
     double total = number(part(r, "seconds"), "total");
-    buf_printf(out, "%s  %.0fx%.0f", cli_safe(title), reply_number(r, "width", 0),
-               reply_number(r, "height", 0));
+    buf_printf(out, "%s  ", cli_safe(title));
+    put_size(r, out);
     put_spp(r, out);
     buf_printf(out, ", %s", cli_safe(state));
     if (!isnan(total)) {

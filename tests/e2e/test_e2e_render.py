@@ -128,7 +128,8 @@ def test_seed_changes_the_picture(tmp_path):
 
 def test_crop_has_the_same_bits(tmp_path):
     render(SEED_SCENE, tmp_path / "full.exr", *SMALL)
-    report, _ = render(SEED_SCENE, tmp_path / "crop.exr", *SMALL, "--crop", "7,9,21,13")
+    report, done = render(SEED_SCENE, tmp_path / "crop.exr", *SMALL, "--crop", "7,9,21,13")
+    assert "21x13 of 48x40" in done.stderr
     full, crop = exr_pixels.rgb(tmp_path / "full.exr"), exr_pixels.rgb(tmp_path / "crop.exr")
     assert crop.shape == (13, 21, 3)
     assert crop.tobytes() == full[9:22, 7:28].tobytes()
