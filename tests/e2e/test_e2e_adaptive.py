@@ -10,7 +10,7 @@ from farm import SEED_SCENE, SLOW, SCENES, Farm, clean_env, report_of, tilery
 
 SCENE = SCENES / "two_spheres.json"
 # A pilot, and some stages behind it.
-WORK = ("--size", "80x48", "--target-error", 0.06 if SLOW > 1 else 0.006)
+WORK = ("--size", "80x48", "--target-error", 0.03 if SLOW > 1 else 0.006)
 
 
 def render(folder, name, *options):
