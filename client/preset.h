@@ -8,7 +8,7 @@
  * Lines of `key = value`, keys named as options, # begins a comment: the form of the settings
  * files. Only what says how a picture is rendered may stand in one. What the command line gives
  * itself wins, and a --spp, --target-error or the like there replaces all that the file says about
- * when to stop. One thread. Tests: test_cli_settings, tests/e2e/test_tradeoff.py.
+ * when to stop. One thread. Tests: test_cli_settings, tests/e2e/test_e2e_tradeoff.py.
  */
 #ifndef CLIENT_PRESET_H
 #define CLIENT_PRESET_H

@@ -7,7 +7,7 @@
  * seen yet would stay dark. Only + - * / and sqrt: the same plan on every machine. Pure; no
  * allocation.
  *
- * Tests: tests/unit/test_allocate.c.
+ * Tests: tests/unit/test_sample_plan.c.
  */
 #ifndef MASTER_ALLOCATE_H
 #define MASTER_ALLOCATE_H

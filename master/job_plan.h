@@ -13,7 +13,7 @@
  *
  * The plan is handed to the store before any lease that follows from it, and the store works in
  * order: a result never lies on disk without the plan it belongs to. One thread: the loop's.
- * Tests: tests/e2e/test_adaptive.py.
+ * Tests: tests/e2e/test_e2e_adaptive.py.
  */
 #ifndef MASTER_JOB_PLAN_H
 #define MASTER_JOB_PLAN_H

@@ -1,7 +1,7 @@
 /* worker/render/camera.h: from a point of the film to a ray.
  *
  * Film coordinates are pixels of the full picture, (0, 0) its upper left corner.
- * Rays are in scene space with unit directions. Any thread. Tests: test_camera.
+ * Rays are in scene space with unit directions. Any thread. Tests: test_surface.
  */
 #ifndef WORKER_RENDER_CAMERA_H
 #define WORKER_RENDER_CAMERA_H

@@ -2,7 +2,7 @@
  *
  * Inversion of the cumulated weights, so that strata of u survive. Memory comes from
  * an arena. Building: one thread; drawing: any.
- * Tests: test_distribution.
+ * Tests: test_light, by the sky.
  */
 #ifndef WORKER_RENDER_DISTRIBUTION_H
 #define WORKER_RENDER_DISTRIBUTION_H

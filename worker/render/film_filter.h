@@ -3,7 +3,7 @@
  * Filter importance sampling: a sample belongs to one pixel, its offset is drawn in
  * proportion to the filter's magnitude, and its weight carries what the drawing did
  * not, sign included; so nothing is splatted over a cell's border. The mean weight is 1.
- * Filters are separable. Any thread. Tests: test_film_filter.
+ * Filters are separable. Any thread. Tests: test_light.
  */
 #ifndef WORKER_RENDER_FILM_FILTER_H
 #define WORKER_RENDER_FILM_FILTER_H

@@ -14,7 +14,7 @@
  * depend on the digits above (Owen); from dimension 256 on as independent.
  * independent: hashed.
  *
- * Pure; any thread. Tests: test_sampler, test_sampler_stats.
+ * Pure; any thread. Tests: test_sampler.
  */
 #ifndef WORKER_RENDER_SAMPLER_H
 #define WORKER_RENDER_SAMPLER_H

@@ -1,6 +1,6 @@
 /* worker/render/srgb_table.h: the 256 values of 8-bit sRGB as linear light (IEC 61966-2-1).
  *
- * A table, so that no transcendental function stands in the texel loop. Test: test_texture
+ * A table, so that no transcendental function stands in the texel loop. Test: test_surface
  * compares it with dmath_srgb_decode.
  */
 #ifndef WORKER_RENDER_SRGB_TABLE_H

@@ -2,7 +2,7 @@
  *
  * Images are looked up bilinearly between texel centres; v = 0 is the bottom row of
  * the picture, as in OBJ. Pixels are borrowed from the render scene's arena. Any
- * thread. Tests: test_texture.
+ * thread. Tests: test_surface.
  */
 #ifndef WORKER_RENDER_TEXTURE_H
 #define WORKER_RENDER_TEXTURE_H

@@ -3,7 +3,7 @@
  * Area-preserving maps of u in [0,1)^2 with bounded distortion, so that the strata
  * of a low-discrepancy set survive. Trigonometry is by our own polynomials on an
  * eighth of the circle: the same bits everywhere, and several times cheaper than a
- * general sine. Any thread. Tests: test_warp.
+ * general sine. Any thread. Tests: test_surface, test_light.
  */
 #ifndef WORKER_RENDER_WARP_H
 #define WORKER_RENDER_WARP_H
