@@ -185,11 +185,25 @@ static void shape_picture(const struct import *im, struct job_spec *spec)
     spec->crop = (struct job_crop){.width = spec->width, .height = spec->height};
 }
 
+/* A model's colours are meant to be seen: the materials of meshes that have them read them. */
+static void show_vertex_colors(struct scene *s)
+{
+    for (size_t i = 0; i < s->object_count; i++) {
+        const struct scene_object *o = &s->objects[i];
+        if (o->type != SCENE_OBJECT_MESH || o->material == SCENE_NONE || !s->meshes[o->mesh].colors)
+            continue;
+        struct scene_material *m = &s->materials[o->material];
+        m->vertex_colors |=
+            m->type == SCENE_MATERIAL_DIFFUSE || m->type == SCENE_MATERIAL_PRINCIPLED;
+    }
+}
+
 enum err import_finish(struct import *im, struct job_spec *spec)
 {
     if (im->scene.object_count == 0)
         return refuse_empty(im);
     tell_left_out(im);
+    show_vertex_colors(&im->scene);
     if (!im->has_lamp && im->scene.envmap.texture == SCENE_NONE) {
         import_warn(im, "sky-added", NULL, "no light in it; lit by a soft sky");
         TL_TRY(import_sky(im));

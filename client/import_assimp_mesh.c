@@ -89,6 +89,23 @@ static const struct aiVector3D *uvs_of(const struct assimp_import *a, const stru
     return mesh->mTextureCoords[set];
 }
 
+/* The first set, which is linear. Its alpha is not read. */
+static bool fill_colors(struct assimp_import *a, const struct aiMesh *mesh, struct scene_mesh *m)
+{
+    const struct aiColor4D *from = mesh->mColors[0];
+    m->colors = mem_alloc_array(mesh->mNumVertices, 3 * sizeof *m->colors);
+    bool clear = false;
+    for (size_t i = 0; m->colors && i < mesh->mNumVertices; i++) {
+        const double c[3] = {(double)from[i].r, (double)from[i].g, (double)from[i].b};
+        for (size_t k = 0; k < 3; k++)
+            m->colors[3 * i + k] = model_vertex_color(c[k], false);
+        clear |= from[i].a > 0 && from[i].a < 1;
+    }
+    if (clear && import_once(a->im, IMPORT_ONCE_VERTEX_ALPHA))
+        import_warn(a->im, "left-out", NULL, "the alpha of colours of vertices is left out");
+    return m->colors != NULL;
+}
+
 static bool fill_vertices(struct assimp_import *a, const struct aiMesh *mesh, struct scene_mesh *m)
 {
     const struct aiVector3D *uvs = uvs_of(a, mesh);
@@ -98,6 +115,8 @@ static bool fill_vertices(struct assimp_import *a, const struct aiMesh *mesh, st
     m->normals = mesh->mNormals ? mem_alloc_array(3 * count, sizeof *m->normals) : NULL;
     m->uvs = uvs ? mem_alloc_array(2 * count, sizeof *m->uvs) : NULL;
     if (!m->positions || (mesh->mNormals && !m->normals) || (uvs && !m->uvs))
+        return false;
+    if (mesh->mColors[0] && !fill_colors(a, mesh, m))
         return false;
     for (unsigned i = 0; i < mesh->mNumVertices; i++) {
         position_of(a, mesh, i, m->positions + 3 * (size_t)i);
@@ -166,8 +185,6 @@ enum err assimp_mesh(struct assimp_import *a, const struct aiMesh *mesh, struct 
         return ERR_OK;
     if (m.triangle_count > SCENE_TRIANGLES_MAX)
         return ERR_LIMIT;
-    if (mesh->mColors[0] && import_once(a->im, IMPORT_ONCE_VERTEX_COLOR))
-        import_warn(a->im, "left-out", NULL, "colours of vertices are left out");
     m.name = mem_strndup(mesh->mName.data, mesh->mName.length < SCENE_NAME_BYTES_MAX
                                                ? mesh->mName.length
                                                : SCENE_NAME_BYTES_MAX);

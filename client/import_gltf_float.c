@@ -23,7 +23,8 @@ struct rewrite {
 
 static bool wants_floats(const char *attribute)
 {
-    static const char *const stems[] = {"POSITION", "NORMAL", "TANGENT", "TEXCOORD_", "WEIGHTS_"};
+    static const char *const stems[] = {"POSITION",  "NORMAL",   "TANGENT",
+                                        "TEXCOORD_", "WEIGHTS_", "COLOR_"};
     for (size_t i = 0; i < sizeof stems / sizeof *stems; i++)
         if (strncmp(attribute, stems[i], strlen(stems[i])) == 0)
             return true;

@@ -359,11 +359,12 @@ static void tell_unknown(struct import *im, const struct shelf *s, const char *n
                     "no material \"%s\" in its libraries", name);
 }
 
-static void grey_material(struct scene_material *out)
+/* White under colours of its own. */
+static void plain_material(bool colored, struct scene_material *out)
 {
     scene_material_init(out);
     out->twosided = true;
-    out->color[0] = out->color[1] = out->color[2] = 0.7;
+    out->color[0] = out->color[1] = out->color[2] = colored ? 1 : 0.7;
 }
 
 static enum err add_part(struct import *im, const struct obj_model *model, const struct shelf *s,
@@ -378,7 +379,7 @@ static enum err add_part(struct import *im, const struct obj_model *model, const
     scene_object_init(&object);
     if (!m && *name)
         tell_unknown(im, s, name, told);
-    grey_material(&material);
+    plain_material(model->colors != NULL, &material);
     if (m)
         TL_TRY(make_material(im, folder, m, &material));
     object.emits = m && emission_of(m, &material, object.radiance);
@@ -408,30 +409,13 @@ static enum err add_parts(struct import *im, const struct obj_model *model, cons
     return e;
 }
 
-/* Looks at the first vertex only: files have colours at all vertices or at none. */
-static void tell_obj_colors(struct import *im, const char *text, size_t bytes)
-{
-    const char *end = text + bytes, *line = text;
-    while (line && end - line > 2 && !(line[0] == 'v' && line[1] == ' ')) {
-        line = memchr(line, '\n', (size_t)(end - line));
-        line = line ? line + 1 : NULL;
-    }
-    if (!line)
-        return;
-    int words = 0;
-    for (const char *c = line + 1; c < end && *c != '\n' && *c != '\r' && *c != '#'; c++)
-        words += *c != ' ' && *c != '\t' && (c[-1] == ' ' || c[-1] == '\t');
-    if (words >= 6)
-        import_warn(im, "left-out", NULL, "colours of vertices are left out");
-}
-
-static void tell_ply_colors(struct import *im, const char *data, size_t bytes)
+/* A header that names a colour where vertices have none gives it to faces. */
+static void tell_ply_face_colors(struct import *im, const char *data, size_t bytes)
 {
     size_t head = bytes < 8192 ? bytes : 8192;
     const char *end = memmem(data, head, "end_header", 10);
-    const char *red = end ? memmem(data, (size_t)(end - data), " red", 4) : NULL;
-    if (red)
-        import_warn(im, "left-out", NULL, "colours of vertices are left out");
+    if (end && memmem(data, (size_t)(end - data), " red", 4))
+        import_warn(im, "left-out", NULL, "colours of faces are left out");
 }
 
 /* MeshLab's name of the picture: "comment TextureFile NAME", a line of the header. You own it;
@@ -479,7 +463,6 @@ enum err import_obj(struct import *im, const char *text, size_t bytes)
     im->vertex_count += model.position_count;
     im->point_count += model.point_count;
     im->line_count += model.line_count;
-    tell_obj_colors(im, text, bytes);
     enum err e = find_libraries(im, &model, &shelf);
     if (e == ERR_OK)
         e = add_parts(im, &model, &shelf);
@@ -495,10 +478,11 @@ enum err import_ply(struct import *im, const char *data, size_t bytes)
     struct scene_object object;
     scene_object_init(&object);
     TL_TRY(ply_read_mesh(data, bytes, im->path, &mesh, im->problems));
-    tell_ply_colors(im, data, bytes);
     bool has_uvs = mesh.uvs != NULL;
+    plain_material(mesh.colors != NULL, &material);
+    if (!mesh.colors)
+        tell_ply_face_colors(im, data, bytes);
     TL_TRY(import_add_mesh(im, &mesh, &object.mesh));
-    grey_material(&material);
     if (has_uvs)
         TL_TRY(ply_texture(im, data, bytes, &material));
     TL_TRY(import_add_material(im, &material, "default", &object.material));

@@ -152,6 +152,8 @@ static void put_principled(const struct import_writer *w, struct buf *b,
         put_number(b, "alpha_cutoff", m->alpha_cutoff);
     if (m->twosided)
         buf_printf(b, ", \"twosided\": true");
+    if (m->vertex_colors)
+        buf_printf(b, ", \"vertex_colors\": true");
 }
 
 /* The importers make these kinds only. */
@@ -180,6 +182,8 @@ static void put_material(const struct import_writer *w, struct buf *b,
         put_numbers(b, "color", m->color, 3);
         if (m->twosided)
             buf_printf(b, ", \"twosided\": true");
+        if (m->vertex_colors)
+            buf_printf(b, ", \"vertex_colors\": true");
         break;
     }
     buf_printf(b, "}");

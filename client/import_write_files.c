@@ -69,6 +69,8 @@ static void put_header(const struct scene_mesh *m, struct buf *out)
         buf_printf(out, "property float nx\nproperty float ny\nproperty float nz\n");
     if (m->uvs)
         buf_printf(out, "property float u\nproperty float v\n");
+    if (m->colors)
+        buf_printf(out, "property float red\nproperty float green\nproperty float blue\n");
     buf_printf(out, "element face %u\nproperty list uchar uint vertex_indices\nend_header\n",
                m->triangle_count);
 }
@@ -83,6 +85,8 @@ static void put_mesh(const struct scene_mesh *m, struct buf *out)
             buf_put_f32(out, m->normals[3 * i + c]);
         for (size_t c = 0; m->uvs && c < 2; c++)
             buf_put_f32(out, m->uvs[2 * i + c]);
+        for (size_t c = 0; m->colors && c < 3; c++)
+            buf_put_f32(out, m->colors[3 * i + c]);
     }
     for (size_t t = 0; t < m->triangle_count; t++) {
         buf_put_u8(out, 3);

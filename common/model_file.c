@@ -4,6 +4,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "common/dmath.h"
 #include "common/file_io.h"
 #include "common/mem.h"
 #include "common/obj_mesh.h"
@@ -120,4 +121,10 @@ uint32_t model_fix_winding(struct scene_mesh *m)
         }
     }
     return flipped;
+}
+
+float model_vertex_color(double value, bool encoded)
+{
+    double v = value > 0 ? (value < 1 ? value : 1) : 0;
+    return (float)(encoded ? dmath_srgb_decode(v) : v);
 }

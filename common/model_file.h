@@ -22,4 +22,8 @@ void scene_mesh_release(struct scene_mesh *m);
  * the winding. Returns how many. */
 uint32_t model_fix_winding(struct scene_mesh *m);
 
+/* A channel of a vertex's colour as struct scene_mesh holds it: within 0 to 1 (what is not a number
+ * is 0), decoded if the file has it sRGB-encoded. */
+float model_vertex_color(double value, bool encoded);
+
 #endif

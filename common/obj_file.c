@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "common/mem.h"
+#include "common/model_file.h"
 #include "common/name_table.h"
 #include "common/number.h"
 #include "common/polygon.h"
@@ -33,6 +34,8 @@ struct parser {
 
     double *values[KINDS];
     size_t count[KINDS], capacity[KINDS]; /* elements, not doubles */
+    float *colors;                        /* of the first positions; white for the others */
+    size_t color_count, color_capacity;
     struct obj_triangle *triangles;
     size_t triangle_count, triangle_capacity;
     struct name_table materials, groups, libraries;
@@ -140,6 +143,40 @@ static void element_problem(struct parser *p, unsigned kind, size_t coordinate)
     problem(p, "not-finite", "re-export the mesh, or correct this line", text);
 }
 
+/* White for the positions so far that have no colour. */
+static bool pad_colors(struct parser *p, size_t count)
+{
+    while (p->color_count < count) {
+        if (!mem_grow((void **)&p->colors, p->color_count, &p->color_capacity,
+                      3 * sizeof *p->colors))
+            return false;
+        float *to = p->colors + 3 * p->color_count++;
+        to[0] = to[1] = to[2] = 1;
+    }
+    return true;
+}
+
+/* The three numbers after a position's, if they are there: a fourth alone is a weight. */
+static void parse_color(struct parser *p)
+{
+    double c[3];
+    for (size_t i = 0; i < 3; i++) {
+        skip_blank(p);
+        const char *after = at_line_end(p) ? NULL : number_parse(p->at, p->end, &c[i]);
+        if (!after)
+            return;
+        p->at = after;
+        if (!at_word_end(p))
+            return;
+    }
+    if (!pad_colors(p, p->count[POSITION])) {
+        p->out_of_memory = true;
+        return;
+    }
+    for (size_t i = 0; i < 3; i++)
+        p->colors[3 * p->color_count - 3 + i] = model_vertex_color(c[i], true);
+}
+
 static void parse_element(struct parser *p, unsigned kind)
 {
     double limit = kind == POSITION ? SCENE_NUMBER_MAX : (double)FLT_MAX;
@@ -164,6 +201,8 @@ static void parse_element(struct parser *p, unsigned kind)
         return;
     }
     memcpy(p->values[kind] + width * p->count[kind]++, v, width * sizeof(double));
+    if (kind == POSITION)
+        parse_color(p);
 }
 
 /* --- f ------------------------------------------------------------------- */
@@ -386,6 +425,7 @@ static void warn_counts(struct parser *p)
 
 static void parser_release(struct parser *p)
 {
+    mem_free(p->colors);
     for (unsigned kind = 0; kind < KINDS; kind++)
         mem_free(p->values[kind]);
     mem_free(p->triangles);
@@ -411,6 +451,7 @@ static void give_model(struct parser *p, struct obj_model *out)
     *out = (struct obj_model){
         .positions = p->values[POSITION],
         .position_count = p->count[POSITION],
+        .colors = p->colors,
         .uvs = p->values[UV],
         .uv_count = p->count[UV],
         .normals = p->values[NORMAL],
@@ -424,6 +465,7 @@ static void give_model(struct parser *p, struct obj_model *out)
     take_names(&p->groups, &out->group_names, &out->group_count);
     take_names(&p->libraries, &out->libraries, &out->library_count);
     p->values[POSITION] = p->values[UV] = p->values[NORMAL] = NULL;
+    p->colors = NULL;
     p->triangles = NULL;
 }
 
@@ -450,6 +492,8 @@ static enum err read_model(const char *text, size_t bytes, const char *file, boo
         warn_counts(&p);
         e = problems->error_count == errors_before ? ERR_OK : ERR_INPUT;
     }
+    if (e == ERR_OK && p.colors && !pad_colors(&p, p.count[POSITION]))
+        e = ERR_NOMEM;
     if (e == ERR_OK)
         give_model(&p, out);
     parser_release(&p);
@@ -478,6 +522,7 @@ static void names_release(char **names, size_t count)
 void obj_release(struct obj_model *m)
 {
     mem_free(m->positions);
+    mem_free(m->colors);
     mem_free(m->uvs);
     mem_free(m->normals);
     mem_free(m->triangles);

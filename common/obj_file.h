@@ -1,9 +1,9 @@
 /* common/obj_file.h: Wavefront OBJ, read in double, with everything the importer needs.
  *
- * v, vt, vn, f (negative indices, polygons), o, g, usemtl, mtllib, line continuation;
- * points and lines are counted and left out; smoothing groups, curves and other keywords
- * are skipped. Polygons are triangulated by ear clipping in the polygon's own plane.
- * Problems carry file:line. Pure apart from memory; one thread.
+ * v (also "x y z r g b", colours sRGB-encoded from 0 to 1), vt, vn, f (negative indices, polygons),
+ * o, g, usemtl, mtllib, line continuation; points and lines are counted and left out; smoothing
+ * groups, curves and other keywords are skipped. Polygons are triangulated by ear clipping in the
+ * polygon's own plane. Problems carry file:line. Pure apart from memory; one thread.
  */
 #ifndef COMMON_OBJ_FILE_H
 #define COMMON_OBJ_FILE_H
@@ -25,7 +25,8 @@ struct obj_triangle {
 struct obj_model {
     double *positions; /* 3 each */
     size_t position_count;
-    double *uvs; /* 2 each */
+    float *colors; /* 3 for each position, as in struct scene_mesh; NULL: none has one */
+    double *uvs;   /* 2 each */
     size_t uv_count;
     double *normals; /* 3 each, as the file has them */
     size_t normal_count;

@@ -75,12 +75,18 @@ static bool fill_vertices(const struct welder *w, struct scene_mesh *m)
     m->positions = mem_alloc_array(w->count * 3, sizeof *m->positions);
     m->uvs = any_uv ? mem_calloc(w->count * 2, sizeof *m->uvs) : NULL;
     m->normals = any_normal ? mem_calloc(w->count * 3, sizeof *m->normals) : NULL;
-    if (!m->positions || (any_uv && !m->uvs) || (any_normal && !m->normals))
+    bool colored = w->model->colors != NULL;
+    m->colors = colored ? mem_alloc_array(w->count * 3, sizeof *m->colors) : NULL;
+    if (!m->positions || (colored && !m->colors) || (any_uv && !m->uvs) ||
+        (any_normal && !m->normals))
         return false;
     for (size_t i = 0; i < w->count; i++) {
         const struct obj_corner *c = &w->vertices[i];
         memcpy(m->positions + 3 * i, w->model->positions + 3 * (size_t)c->position,
                3 * sizeof(double));
+        if (colored)
+            memcpy(m->colors + 3 * i, w->model->colors + 3 * (size_t)c->position,
+                   3 * sizeof *m->colors);
         for (size_t j = 0; c->uv != OBJ_NONE && j < 2; j++)
             m->uvs[2 * i + j] = (float)w->model->uvs[2 * (size_t)c->uv + j];
         if (c->normal != OBJ_NONE)

@@ -162,6 +162,7 @@ static void codec_material(struct codec *c, struct scene_material *m)
     codec_u32(c, &m->texture);
     codec_f64s(c, m->color, 3);
     codec_bool(c, &m->twosided);
+    codec_bool(c, &m->vertex_colors);
     codec_enum(c, &m->distribution, SCENE_GGX);
     codec_f64s(c, &m->alpha_x, 1);
     codec_f64s(c, &m->alpha_y, 1);

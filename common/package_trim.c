@@ -19,6 +19,7 @@ void package_trim_mesh_release(struct trimmed_mesh *t)
         mem_free(t->mesh.positions);
         mem_free(t->mesh.normals);
         mem_free(t->mesh.uvs);
+        mem_free(t->mesh.colors);
     }
     if (t->own_indices)
         mem_free(t->mesh.indices);
@@ -68,10 +69,13 @@ static enum err renumber(struct trimmed_mesh *t, const uint32_t *map, uint32_t u
     to->normals =
         from.normals ? pick(from.normals, from.vertex_count, 3 * sizeof(float), map, used) : NULL;
     to->uvs = from.uvs ? pick(from.uvs, from.vertex_count, 2 * sizeof(float), map, used) : NULL;
+    to->colors =
+        from.colors ? pick(from.colors, from.vertex_count, 3 * sizeof(float), map, used) : NULL;
     to->indices = mem_alloc_array(corners, sizeof *to->indices);
     for (size_t i = 0; to->indices && i < corners; i++)
         to->indices[i] = map[from.indices[i]];
-    return to->positions && to->indices && (to->normals || !from.normals) && (to->uvs || !from.uvs)
+    return to->positions && to->indices && (to->normals || !from.normals) &&
+                   (to->uvs || !from.uvs) && (to->colors || !from.colors)
                ? ERR_OK
                : ERR_NOMEM;
 }
@@ -88,11 +92,16 @@ enum err package_trim_mesh(const struct scene_mesh *m, const struct scene_plan_m
         out->mesh.uvs = NULL;
         leave(left, PACKAGE_LEFT_UVS, m->vertex_count, m->vertex_count * UINT64_C(8));
     }
+    if (!plan->colors && m->colors) {
+        out->mesh.colors = NULL;
+        leave(left, PACKAGE_LEFT_COLORS, m->vertex_count, m->vertex_count * UINT64_C(12));
+    }
     enum err e = ERR_OK;
     if (used < m->vertex_count) {
         uint64_t gone = m->vertex_count - used;
         uint64_t each = 3 * sizeof(double) + (m->normals ? 3 * sizeof(float) : 0) +
-                        (out->mesh.uvs ? 2 * sizeof(float) : 0);
+                        (out->mesh.uvs ? 2 * sizeof(float) : 0) +
+                        (out->mesh.colors ? 3 * sizeof(float) : 0);
         leave(left, PACKAGE_LEFT_VERTICES, gone, gone * each);
     }
     if (!same)

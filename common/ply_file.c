@@ -19,7 +19,7 @@ enum scalar { INT8, UINT8, INT16, UINT16, INT32, UINT32, FLOAT32, FLOAT64, SCALA
 static const size_t scalar_bytes[SCALAR_COUNT] = {1, 1, 2, 2, 4, 4, 4, 8};
 
 /* What a property of a vertex means to us; NONE: skipped. */
-enum role { NONE, X, Y, Z, NX, NY, NZ, U, V, ROLE_COUNT };
+enum role { NONE, X, Y, Z, NX, NY, NZ, U, V, RED, GREEN, BLUE, ROLE_COUNT };
 
 struct property {
     bool list;
@@ -49,6 +49,7 @@ struct reader {
     struct scene_mesh mesh; /* being made */
     bool has[ROLE_COUNT], has_vertices;
     bool skim_vertices, skim_faces; /* read past them */
+    double color_max[3]; /* the integer that is full, of red, green, blue; 0: floats, linear */
     uint64_t vertex_count;
     size_t triangle_count, triangle_capacity;
     uint32_t *list; /* of the face being read */
@@ -123,12 +124,21 @@ static enum role role_of(const char *name)
     static const struct {
         const char *name;
         enum role role;
-    } roles[] = {{"x", X}, {"y", Y}, {"z", Z}, {"nx", NX}, {"ny", NY},       {"nz", NZ},
-                 {"u", U}, {"v", V}, {"s", U}, {"t", V},   {"texture_u", U}, {"texture_v", V}};
+    } roles[] = {{"x", X},     {"y", Y},         {"z", Z},         {"nx", NX},
+                 {"ny", NY},   {"nz", NZ},       {"u", U},         {"v", V},
+                 {"s", U},     {"t", V},         {"texture_u", U}, {"texture_v", V},
+                 {"red", RED}, {"green", GREEN}, {"blue", BLUE}};
     for (size_t i = 0; i < sizeof roles / sizeof *roles; i++)
         if (strcmp(name, roles[i].name) == 0)
             return roles[i].role;
     return NONE;
+}
+
+/* Integers are what a screen shows: sRGB-encoded, up to their type's most, 255 if that is no colour
+ * depth. */
+static double color_max_of(enum scalar type)
+{
+    return type >= FLOAT32 ? 0 : type == UINT16 ? 65535 : 255;
 }
 
 static enum err parse_property(struct reader *r, const struct words *w)
@@ -155,6 +165,8 @@ static enum err parse_property(struct reader *r, const struct words *w)
     e->properties[e->property_count++] = p;
     if (p.role != NONE)
         r->has[p.role] = true;
+    if (p.role >= RED)
+        r->color_max[p.role - RED] = color_max_of(p.type);
     return ERR_OK;
 }
 
@@ -301,7 +313,11 @@ static bool vertex_alloc(struct reader *r)
         m->normals = mem_calloc(count, 3 * sizeof *m->normals);
     if (r->has[U] && r->has[V])
         m->uvs = mem_calloc(count, 2 * sizeof *m->uvs);
-    return m->positions && (m->normals || !(r->has[NX] && r->has[NY] && r->has[NZ])) &&
+    bool colored = r->has[RED] && r->has[GREEN] && r->has[BLUE];
+    if (colored)
+        m->colors = mem_calloc(count, 3 * sizeof *m->colors);
+    return m->positions && (m->colors || !colored) &&
+           (m->normals || !(r->has[NX] && r->has[NY] && r->has[NZ])) &&
            (m->uvs || !(r->has[U] && r->has[V]));
 }
 
@@ -328,6 +344,10 @@ static void put_vertex(struct reader *r, size_t i, const double v[ROLE_COUNT])
     for (size_t j = 0; m->uvs && j < 2; j++) {
         m->uvs[2 * i + j] = (float)v[U + j];
         finite = finite && fabs(v[U + j]) <= (double)FLT_MAX;
+    }
+    for (size_t j = 0; m->colors && j < 3; j++) {
+        double max = r->color_max[j];
+        m->colors[3 * i + j] = model_vertex_color(max > 0 ? v[RED + j] / max : v[RED + j], max > 0);
     }
     if (m->normals)
         put_unit(v + NX, m->normals + 3 * i);

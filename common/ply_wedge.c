@@ -46,10 +46,12 @@ static enum err gather(struct scene_mesh *mesh, const struct splitter *s)
     double *positions = mem_alloc_array(s->count, 3 * sizeof *positions);
     float *normals = mesh->normals ? mem_alloc_array(s->count, 3 * sizeof *normals) : NULL;
     float *uvs = mem_alloc_array(s->count, 2 * sizeof *uvs);
-    if (!positions || (mesh->normals && !normals) || !uvs) {
+    float *colors = mesh->colors ? mem_alloc_array(s->count, 3 * sizeof *colors) : NULL;
+    if (!positions || (mesh->normals && !normals) || (mesh->colors && !colors) || !uvs) {
         mem_free(positions);
         mem_free(normals);
         mem_free(uvs);
+        mem_free(colors);
         return ERR_NOMEM;
     }
     for (size_t i = 0; i < s->count; i++) {
@@ -57,11 +59,15 @@ static enum err gather(struct scene_mesh *mesh, const struct splitter *s)
         memcpy(positions + 3 * i, mesh->positions + 3 * from, 3 * sizeof *positions);
         if (normals)
             memcpy(normals + 3 * i, mesh->normals + 3 * from, 3 * sizeof *normals);
+        if (colors)
+            memcpy(colors + 3 * i, mesh->colors + 3 * from, 3 * sizeof *colors);
         memcpy(uvs + 2 * i, s->variants[i].uv, sizeof s->variants[i].uv);
     }
     mem_free(mesh->positions);
     mem_free(mesh->normals);
     mem_free(mesh->uvs);
+    mem_free(mesh->colors);
+    mesh->colors = colors;
     mesh->positions = positions;
     mesh->normals = normals;
     mesh->uvs = uvs;

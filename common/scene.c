@@ -86,6 +86,7 @@ void scene_mesh_release(struct scene_mesh *m)
     mem_free(m->positions);
     mem_free(m->normals);
     mem_free(m->uvs);
+    mem_free(m->colors);
     mem_free(m->indices);
     *m = (struct scene_mesh){0};
 }
@@ -214,6 +215,14 @@ static bool material_valid(const struct scene *s, const struct scene_material *m
            all_finite(&m->alpha_cutoff, 1);
 }
 
+static bool all_in_unit_f32(const float *v, size_t count)
+{
+    for (size_t i = 0; v && i < count; i++)
+        if (!(v[i] >= 0 && v[i] <= 1))
+            return false;
+    return true;
+}
+
 static bool mesh_valid(const struct scene_mesh *m)
 {
     if (!m->name || m->triangle_count < 1 || m->triangle_count > SCENE_TRIANGLES_MAX)
@@ -223,7 +232,8 @@ static bool mesh_valid(const struct scene_mesh *m)
             return false;
     return all_finite(m->positions, (size_t)m->vertex_count * 3) &&
            all_finite_f32(m->normals, (size_t)m->vertex_count * 3) &&
-           all_finite_f32(m->uvs, (size_t)m->vertex_count * 2);
+           all_finite_f32(m->uvs, (size_t)m->vertex_count * 2) &&
+           all_in_unit_f32(m->colors, (size_t)m->vertex_count * 3);
 }
 
 static bool object_valid(const struct scene *s, const struct scene_object *o)

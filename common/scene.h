@@ -74,9 +74,10 @@ struct scene_material {
     char *name;
     uint32_t number; /* in the list of the scene as it was read; SCENE_NONE: its place here */
     enum scene_material_type type;
-    uint32_t texture; /* albedo, reflectance or base colour; SCENE_NONE: `color` */
-    double color[3];  /* used when texture is SCENE_NONE; else a factor (default 1) */
-    bool twosided;    /* diffuse: reflects on both sides of the normal */
+    uint32_t texture;   /* albedo, reflectance or base colour; SCENE_NONE: `color` */
+    double color[3];    /* used when texture is SCENE_NONE; else a factor (default 1) */
+    bool twosided;      /* diffuse: reflects on both sides of the normal */
+    bool vertex_colors; /* diffuse, principled: times the mesh's colours, where it has some */
     enum scene_distribution distribution;
     double alpha_x, alpha_y; /* roughness of microfacets, as in alpha = roughness^2 */
     double eta;              /* relative index of refraction, inside over outside */
@@ -100,14 +101,15 @@ struct scene_material {
     bool alpha_used;
 };
 
-/* Positions as the file gives them, in double. Normals and uvs are per vertex;
- * NULL when absent. */
+/* Positions as the file gives them, in double. Normals, uvs and colours are per
+ * vertex; NULL when absent. */
 struct scene_mesh {
     char *name;
     uint32_t vertex_count, triangle_count;
     double *positions; /* 3 * vertex_count */
     float *normals;    /* 3 * vertex_count, unit or zero; or NULL */
     float *uvs;        /* 2 * vertex_count; or NULL */
+    float *colors;     /* 3 * vertex_count, linear, 0 to 1; or NULL */
     uint32_t *indices; /* 3 * triangle_count, each < vertex_count */
 };
 

@@ -220,9 +220,11 @@ static void load_eta(struct scene_loader *l, const struct json *v, struct scene_
 
 static void load_diffuse(struct scene_loader *l, const struct json *v, struct scene_material *m)
 {
-    static const char *const keys[] = {"type", "texture_name", "color", "twosided"};
+    static const char *const keys[] = {"type", "texture_name", "color", "twosided",
+                                       "vertex_colors"};
     SCENE_LOAD_KEYS(l, v, keys);
     load_albedo(l, v, "color", true, m);
+    (void)json_get_bool(&l->g, v, "vertex_colors", &m->vertex_colors);
     (void)json_get_bool(&l->g, v, "twosided", &m->twosided);
 }
 
@@ -334,6 +336,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
                                        "alpha_cutoff",
                                        "normal_scale",
                                        "twosided",
+                                       "vertex_colors",
                                        "metallic_roughness_texture",
                                        "emission_texture",
                                        "normal_texture",
@@ -353,6 +356,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
     (void)scene_load_color(l, v, "sheen_color", m->sheen_color);
     (void)scene_load_color(l, v, "emission", m->emission);
     (void)json_get_bool(&l->g, v, "twosided", &m->twosided);
+    (void)json_get_bool(&l->g, v, "vertex_colors", &m->vertex_colors);
     load_principled_textures(l, v, m);
     load_opacity(l, v, m);
 }

@@ -176,6 +176,7 @@ static void mark_meshes(struct scene_plan *p, const struct scene *s, bool uvs_sh
         struct scene_material m =
             scene_plan_material(&s->materials[o->material], p->emissions[o->material]);
         p->meshes[o->mesh].uvs |= s->meshes[o->mesh].uvs && reads_uvs(s, &m);
+        p->meshes[o->mesh].colors |= s->meshes[o->mesh].colors && m.vertex_colors;
     }
     for (size_t i = 0; i < s->mesh_count; i++) {
         if (p->meshes[i].uses == 0)
@@ -184,6 +185,8 @@ static void mark_meshes(struct scene_plan *p, const struct scene *s, bool uvs_sh
             need(p, SCENE_FEATURE_NORMALS);
         if (p->meshes[i].uvs)
             need(p, SCENE_FEATURE_UVS);
+        if (p->meshes[i].colors)
+            need(p, SCENE_FEATURE_COLORS);
         if (!scene_plan_has(p, SCENE_FEATURE_DOUBLES) && !all_floats(&s->meshes[i]))
             need(p, SCENE_FEATURE_DOUBLES);
     }
@@ -255,7 +258,7 @@ enum err scene_plan_keep_all(const struct scene *scene, struct scene_plan *out)
     for (size_t i = 0; i < scene->image_count; i++)
         out->channels[i] = SCENE_CHANNELS_RGB | SCENE_CHANNEL_A;
     for (size_t i = 0; i < scene->mesh_count; i++)
-        out->meshes[i] = (struct scene_plan_mesh){.uses = 1, .uvs = true};
+        out->meshes[i] = (struct scene_plan_mesh){.uses = 1, .uvs = true, .colors = true};
     out->whole = true;
     return ERR_OK;
 }

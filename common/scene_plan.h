@@ -34,6 +34,7 @@
     X(OPACITY, "opacity")                                                                          \
     X(NORMALS, "vertex normals")                                                                   \
     X(UVS, "texture coordinates")                                                                  \
+    X(COLORS, "colours of vertices")                                                               \
     X(DOUBLES, "coordinates in double")                                                            \
     X(SPHERES, "spheres")                                                                          \
     X(LENS, "depth of field")
@@ -58,6 +59,7 @@ enum {
 struct scene_plan_mesh {
     uint32_t uses; /* by objects that can be met; 0: not kept */
     bool uvs;      /* some object's material looks something up by them */
+    bool colors;   /* some object's material reads them */
 };
 
 struct scene_plan {

@@ -17,6 +17,8 @@ static inline void mesh_judge(const struct scene_mesh *m)
     }
     for (size_t i = 0; m->uvs && i < (size_t)m->vertex_count * 2; i++)
         TL_ASSERT(isfinite(m->uvs[i]));
+    for (size_t i = 0; m->colors && i < (size_t)m->vertex_count * 3; i++)
+        TL_ASSERT(m->colors[i] >= 0 && m->colors[i] <= 1);
 }
 
 #endif

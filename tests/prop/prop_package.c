@@ -46,6 +46,9 @@ static void make_mesh(struct scene_mesh *m)
     m->indices = new_items(m->triangle_count, 3 * sizeof(uint32_t));
     m->normals = draw(2) ? new_items(m->vertex_count, 3 * sizeof(float)) : NULL;
     m->uvs = draw(2) ? new_items(m->vertex_count, 2 * sizeof(float)) : NULL;
+    m->colors = draw(2) ? new_items(m->vertex_count, 3 * sizeof(float)) : NULL;
+    for (size_t i = 0; m->colors && i < (size_t)m->vertex_count * 3; i++)
+        m->colors[i] = (float)draw(256) / 255;
     bool plain = draw(3) == 0; /* equal meshes must share a chunk */
     for (size_t i = 0; i < (size_t)m->vertex_count * 3; i++)
         m->positions[i] = plain ? 1 : draw_number();
@@ -85,6 +88,7 @@ static void make_material(const struct scene *s, struct scene_material *m, size_
     m->normal_texture = draw_index(s->texture_count);
     m->emission_texture = draw_index(s->texture_count);
     m->twosided = draw(2);
+    m->vertex_colors = draw(2);
     m->k[1] = draw_number();
 }
 

@@ -195,6 +195,15 @@ static uint32_t add_quad(struct scene *s, double z, uint32_t material)
     return object;
 }
 
+static void add_colors(struct scene *s, uint32_t object)
+{
+    struct scene_mesh *m = &s->meshes[s->objects[object].mesh];
+    m->colors = mem_calloc(m->vertex_count, 3 * sizeof *m->colors);
+    TL_ASSERT(m->colors);
+    for (size_t i = 0; i < (size_t)m->vertex_count * 3; i++)
+        m->colors[i] = (float)(i % 7) / 6;
+}
+
 static void expect(const struct package *p, enum package_left_kind kind, uint64_t count)
 {
     if (p->left[kind].count == count)
@@ -281,6 +290,26 @@ static void check_rules(void)
     scene_release(&s);
 }
 
+/* Of two coloured walls one shows its colours. */
+static void check_colors(void)
+{
+    struct scene s;
+    struct scene_material *m;
+    scene_init(&s);
+    kit_constant_sky(&s, 0.5);
+    uint32_t shows = kit_material(&s, SCENE_MATERIAL_DIFFUSE, &m);
+    m->vertex_colors = true;
+    add_colors(&s, add_quad(&s, 0, shows));
+    add_colors(&s, add_quad(&s, -1, kit_diffuse(&s, 0.5, 0.5, 0.5)));
+    scene_check(&s);
+    struct package p = check_scene("colours", &s);
+    expect(&p, PACKAGE_LEFT_COLORS, 6);
+    if (p.left[PACKAGE_LEFT_COLORS].bytes != 6 * 12)
+        fail("colours", "bytes left out are not those of the colours");
+    package_release(&p);
+    scene_release(&s);
+}
+
 /* --- Files ------------------------------------------------------------------ */
 
 static bool ends_in(const char *name, const char *end)
@@ -339,6 +368,7 @@ int main(int argc, char **argv)
     if (argc > 1 && strcmp(argv[1], IMPORT_CHILD_ARGUMENT) == 0)
         return import_child_main(argc, argv);
     check_rules();
+    check_colors();
     for (size_t i = 0; i < sizeof scenes / sizeof *scenes; i++) {
         char path[100];
         (void)snprintf(path, sizeof path, "scenes/%s.json", scenes[i]);

@@ -7,10 +7,13 @@
 #include <cmocka.h>
 
 #include <math.h>
+#include <string.h>
 
 #include "common/dmath.h"
+#include "common/mem.h"
 #include "tests/render/render_kit.h"
 #include "worker/render/shade.h"
+#include "worker/scene/scene_build.h"
 
 /* A surface of normal +z whose map tilts it by `tilt` radians towards +x. */
 static struct shade tilted(double tilt)
@@ -125,9 +128,59 @@ static void flat_maps_change_nothing(void **state)
     scene_release(&s);
 }
 
+/* Twice: once with the key, once without. Weights of corners against the sum by hand. */
+static void vertex_colors_are_interpolated(void **state)
+{
+    (void)state;
+    static const double corners[12] = {0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0};
+    static const float colors[12] = {1, 0, 0.25f, 0, 1, 0.5f, 0.5f, 0.5f, 1, 0, 0, 0};
+    static const enum scene_material_type types[] = {SCENE_MATERIAL_DIFFUSE,
+                                                     SCENE_MATERIAL_PRINCIPLED};
+    for (int i = 0; i < 4; i++) {
+        struct scene s;
+        struct scene_material *m;
+        struct render_scene *built;
+        scene_init(&s);
+        uint32_t material = kit_material(&s, types[i / 2], &m);
+        m->vertex_colors = i % 2;
+        m->color[0] = m->color[1] = 0.5;
+        m->color[2] = 0.75;
+        uint32_t ball = kit_sphere(&s, 9, 0, 0, 1, material);
+        uint32_t quad = kit_quad(&s, corners, material);
+        struct scene_mesh *mesh = &s.meshes[s.objects[quad].mesh];
+        mesh->colors = mem_alloc_array(12, sizeof *colors);
+        memcpy(mesh->colors, colors, sizeof colors);
+        struct job_spec spec = kit_spec(8, 1);
+        assert_int_equal(scene_build(&s, &spec, NULL, &built), ERR_OK);
+        for (double b1 = 0; b1 <= 1; b1 += 0.125) {
+            double b2 = (1 - b1) / 4;
+            struct hit hit = {.object = quad, .b1 = b1, .b2 = b2, .ng = {0, 0, 1}};
+            struct shade at;
+            shade_of_hit(built, &hit, v3(0, 0, -1), &at);
+            const uint32_t *k = mesh->indices;
+            double c[3];
+            for (int j = 0; j < 3; j++)
+                c[j] = (1 - b1 - b2) * (double)colors[3 * k[0] + (uint32_t)j] +
+                       b1 * (double)colors[3 * k[1] + (uint32_t)j] +
+                       b2 * (double)colors[3 * k[2] + (uint32_t)j];
+            for (int j = 0; j < 3 && i % 2 == 0; j++)
+                c[j] = 1;
+            assert_true(fabs(at.bsdf.color.r - 0.5 * c[0]) < 1e-15);
+            assert_true(fabs(at.bsdf.color.g - 0.5 * c[1]) < 1e-15);
+            assert_true(fabs(at.bsdf.color.b - 0.75 * c[2]) < 1e-15);
+            hit.object = ball; /* has none: white */
+            shade_of_hit(built, &hit, v3(0, 0, -1), &at);
+            assert_true(at.bsdf.color.r == 0.5 && at.bsdf.color.b == 0.75);
+        }
+        render_scene_free(built);
+        scene_release(&s);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(vertex_colors_are_interpolated),
         cmocka_unit_test(grazing_light_fades),
         cmocka_unit_test(profiles_agree_on_bumps),
         cmocka_unit_test(flat_maps_change_nothing),

@@ -236,6 +236,50 @@ static void a_sky_lights_what_has_no_light(void **state)
     finish(&im, &problems);
 }
 
+/* --- Colours of vertices ------------------------------------------------- */
+
+/* COLOR_0 in normalised bytes: 51 / 255 is a fifth, linear; the material then reads them. */
+static void gltf_colors_multiply(void **state)
+{
+    (void)state;
+    static const char text[] =
+        "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],"
+        "\"nodes\":[{\"mesh\":0}],\"materials\":[{}],\"meshes\":[{\"primitives\":[{"
+        "\"material\":0,\"attributes\":{\"POSITION\":0,\"COLOR_0\":1}}]}],\"accessors\":["
+        "{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\","
+        "\"min\":[0,0,0],\"max\":[1,1,0]},"
+        "{\"bufferView\":1,\"componentType\":5121,\"normalized\":true,\"count\":3,"
+        "\"type\":\"VEC4\"}],\"bufferViews\":["
+        "{\"buffer\":0,\"byteOffset\":0,\"byteLength\":36},"
+        "{\"buffer\":0,\"byteOffset\":36,\"byteLength\":12}],"
+        "\"buffers\":[{\"byteLength\":48,\"uri\":\"data:application/octet-stream;base64,"
+        "AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA/wAz/wD/AP8AAP//\"}]}";
+    char folder[] = "/tmp/tilery-import-XXXXXX";
+    assert_non_null(mkdtemp(folder));
+    char *path = file_join(folder, "a.gltf");
+    assert_int_equal(file_write(path, text, strlen(text)), ERR_OK);
+    struct import im;
+    struct job_spec spec;
+    struct diag_list problems;
+    diag_init(&problems);
+    assert_int_equal(import_init(&im, path, &problems), ERR_OK);
+    assert_int_equal(import_run(&im, &spec), ERR_OK);
+    assert_int_equal(im.scene.object_count, 1);
+    const struct scene_object *o = &im.scene.objects[0];
+    const float *colors = im.scene.meshes[o->mesh].colors;
+    assert_non_null(colors);
+    assert_true(im.scene.materials[o->material].vertex_colors);
+    bool found = false;
+    for (size_t i = 0; i < im.scene.meshes[o->mesh].vertex_count; i++)
+        found |= colors[3 * i] == 1 && colors[3 * i + 1] == 0 &&
+                 fabs((double)colors[3 * i + 2] - 0.2) < 1e-6;
+    assert_true(found);
+    finish(&im, &problems);
+    assert_int_equal(unlink(path), 0);
+    assert_int_equal(rmdir(folder), 0);
+    mem_free(path);
+}
+
 /* --- Kinds of files ------------------------------------------------------ */
 
 static bool is_model(const char *folder, const char *name, const char *text)
@@ -276,6 +320,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(accessors_are_normalised_and_bounded),
         cmocka_unit_test(the_whole_model_is_framed),
         cmocka_unit_test(a_sky_lights_what_has_no_light),
+        cmocka_unit_test(gltf_colors_multiply),
         cmocka_unit_test(kinds_are_told_by_contents_first),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

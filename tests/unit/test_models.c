@@ -84,6 +84,62 @@ static void obj_forms_are_read(void **state)
     unload(&l);
 }
 
+static void near_color(const float *c, double r, double g, double b)
+{
+    assert_true(fabs((double)c[0] - r) < 1e-6 && fabs((double)c[1] - g) < 1e-6 &&
+                fabs((double)c[2] - b) < 1e-6);
+}
+
+/* 0.5 and 188/255 sRGB-encoded, by the standard's formula. */
+#define HALF_DECODED 0.21404114
+#define B188_DECODED 0.50288646
+
+static void obj_colors_are_decoded(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load_obj(&l, "v 0 0 0\nv 1 0 0 0.5 1 0\nv 0 1 0 7 -1 0.5 1\nv 1 1 0 1\nf 1 2 3\nf 2 4 3");
+    assert_int_equal(l.e, ERR_OK);
+    assert_int_equal(l.problems.warning_count, 0);
+    near_color(l.mesh.colors, 1, 1, 1); /* none of its own */
+    near_color(l.mesh.colors + 3, HALF_DECODED, 1, 0);
+    near_color(l.mesh.colors + 6, 1, 0, HALF_DECODED);
+    near_color(l.mesh.colors + 9, 1, 1, 1); /* a weight is no colour */
+    unload(&l);
+    load_obj(&l, "v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3");
+    assert_null(l.mesh.colors);
+    unload(&l);
+}
+
+static void ply_colors_are_told_by_type(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *type, *rows;
+        double second[3];
+    } cases[] = {
+        {"uchar", "0 0 0 0 0 0\n1 0 0 188 255 0\n0 1 0 9 9 9\n", {B188_DECODED, 1, 0}},
+        {"ushort", "0 0 0 0 0 0\n1 0 0 48316 65535 0\n0 1 0 9 9 9\n", {B188_DECODED, 1, 0}},
+        {"float", "0 0 0 0 0 0\n1 0 0 0.25 1.5 -1\n0 1 0 0 0 0\n", {0.25, 1, 0}},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct loaded l;
+        char text[500];
+        const char *t = cases[i].type;
+        int n =
+            snprintf(text, sizeof text,
+                     "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                     "property float z\nproperty %s red\nproperty %s green\nproperty %s blue\n"
+                     "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+                     "%s3 0 1 2\n",
+                     t, t, t, cases[i].rows);
+        load_ply(&l, text, (size_t)n);
+        assert_int_equal(l.e, ERR_OK);
+        near_color(l.mesh.colors + 3, cases[i].second[0], cases[i].second[1], cases[i].second[2]);
+        unload(&l);
+    }
+}
+
 static void obj_keeps_double_coordinates(void **state)
 {
     (void)state;
@@ -390,6 +446,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(obj_forms_are_read),
+        cmocka_unit_test(obj_colors_are_decoded),
+        cmocka_unit_test(ply_colors_are_told_by_type),
         cmocka_unit_test(obj_keeps_double_coordinates),
         cmocka_unit_test(obj_problems_have_their_line),
         cmocka_unit_test(obj_survives_small_faults_with_a_warning),

@@ -32,6 +32,7 @@ struct material {
     uint32_t texture;
     rgb color; /* times the texture */
     bool twosided;
+    bool vertex_colors;  /* times the mesh's */
     bool needs_uv;       /* a texture is looked up, or tangents are wanted */
     bool transmits;      /* with a density: light from behind counts */
     bool one_lobe;       /* bsdf_sample never looks at u[2] */

@@ -107,6 +107,8 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
         rgb t = texture_color(&scene->textures[m->texture], s->u, s->v);
         out->bsdf.color = rgb_mul(m->color, t);
     }
+    if (m->vertex_colors)
+        out->bsdf.color = rgb_mul(out->bsdf.color, s->color);
     if (m->type == SCENE_MATERIAL_PRINCIPLED)
         look_up_principled(scene, m, s, &out->bsdf);
 }

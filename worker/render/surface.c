@@ -90,6 +90,17 @@ static void triangle_uv(const float *uvs, const struct triangle *t, struct surfa
         s->dpdu = v3_scale(v3_sub(v3_scale(e1, dv2), v3_scale(e2, dv1)), det < 0 ? -1 : 1);
 }
 
+static rgb vertex_color(const float *colors, const struct triangle *t)
+{
+    rgb c = {0, 0, 0};
+    for (int k = 0; k < 3; k++) {
+        const float *p = colors + 3 * (size_t)t->index[k];
+        c = rgb_add(c, rgb_scale((rgb){(double)p[0], (double)p[1], (double)p[2]}, t->b[k]));
+    }
+    /* A weight may be under 0 by a rounding. */
+    return (rgb){c.r > 0 ? c.r : 0, c.g > 0 ? c.g : 0, c.b > 0 ? c.b : 0};
+}
+
 static void surface_of_triangle(const struct render_scene *scene,
                                 const struct render_object *object, const struct hit *hit,
                                 struct surface *s)
@@ -125,6 +136,8 @@ static void surface_of_triangle(const struct render_scene *scene,
             n = affine_normal(object->from_scene, n);
         s->ns = shading_normal(n, s->ng);
     }
+    if (material->vertex_colors)
+        s->color = mesh->colors ? vertex_color(mesh->colors, &t) : rgb_grey(1);
     if (material->needs_uv) {
         s->u = s->v = 0;
         s->dpdu = e1;
@@ -143,6 +156,8 @@ static void surface_of_sphere(const struct render_scene *scene, const struct ren
     s->ns = s->ng;
     s->p = v3_mad(object->center, s->ng, object->radius);
     s->error = UNIT_ROUNDOFF * POSITION_ROUNDINGS * (v3_abs_max(object->center) + object->radius);
+    if (scene->materials[object->material].vertex_colors)
+        s->color = rgb_grey(1);
     if (scene->materials[object->material].needs_uv) {
         double phi = dmath_atan2(s->ng.y, s->ng.x);
         double z = s->ng.z < -1 ? -1 : s->ng.z > 1 ? 1 : s->ng.z;

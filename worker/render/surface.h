@@ -17,6 +17,7 @@ struct surface {
     double error;  /* p is at most this far from the true surface, along ng */
     double u, v;   /* only for materials with textures */
     double handed; /* -1 where u and v are a mirror image, else 1; as dpdu */
+    rgb color;     /* of the mesh's vertices; only for materials that read it */
     vec3 dpdu;     /* direction of growing u; only for materials that ask for tangents */
     uint32_t object, primitive, material;
 };

@@ -87,8 +87,10 @@ static void affine_inverse(const double m[12], double out[12])
 struct mesh_use {
     uint32_t uses;
     bool emits;
-    bool strays;             /* has vertices that no triangle has: they have no extent */
-    const float *uvs;        /* the arena's copy, once made */
+    bool strays;       /* has vertices that no triangle has: they have no extent */
+    bool reads_colors; /* some object's material does */
+    const float *uvs;  /* the arena's copies, once made */
+    const float *colors;
     uint32_t instanced;      /* its render mesh in mesh space, once made; else SCENE_NONE */
     double center[3], scale; /* of that space */
 };
@@ -211,11 +213,13 @@ static const uint32_t *place_indices(struct render_scene *rs, const struct scene
 }
 
 static enum err place_mesh(struct render_scene *rs, const struct scene_mesh *m,
-                           const struct placement *at, const float *uvs, struct render_mesh *out)
+                           const struct placement *at, const struct mesh_use *use,
+                           struct render_mesh *out)
 {
     out->vertex_count = m->vertex_count;
     out->triangle_count = m->triangle_count;
-    out->uvs = uvs;
+    out->uvs = use->uvs;
+    out->colors = use->colors;
     out->positions = place_positions(rs, m, at);
     if (m->normals)
         out->normals = place_normals(rs, m, at);
@@ -235,6 +239,18 @@ static const float *shared_uvs(struct render_scene *rs, const struct scene_mesh 
         use->uvs = copy;
     }
     return use->uvs;
+}
+
+static const float *shared_colors(struct render_scene *rs, const struct scene_mesh *m,
+                                  struct mesh_use *use)
+{
+    if (!use->colors) {
+        float *copy = arena_alloc(&rs->arena, m->vertex_count, 3 * sizeof *copy);
+        if (copy)
+            memcpy(copy, m->colors, (size_t)m->vertex_count * 3 * sizeof *copy);
+        use->colors = copy;
+    }
+    return use->colors;
 }
 
 /* Instances need an orientation-keeping transform that can be inverted with some accuracy. */
@@ -281,7 +297,7 @@ static enum err build_instance(struct render_scene *rs, const struct scene *scen
             return ERR_LIMIT;
         memcpy(use->center, at.center, sizeof at.center);
         use->scale = at.scale;
-        TL_TRY(place_mesh(rs, m, &at, use->uvs, &rs->meshes[rs->mesh_count]));
+        TL_TRY(place_mesh(rs, m, &at, use, &rs->meshes[rs->mesh_count]));
         use->instanced = (uint32_t)rs->mesh_count++;
     }
     out->type = ACCEL_INSTANCE;
@@ -326,6 +342,8 @@ static enum err build_object(struct render_scene *rs, const struct scene *scene,
     const struct scene_mesh *m = &scene->meshes[o->mesh];
     if (m->uvs && !shared_uvs(rs, m, use))
         return ERR_NOMEM;
+    if (m->colors && use->reads_colors && !shared_colors(rs, m, use))
+        return ERR_NOMEM;
     if (wants_instance(o, m, use))
         return build_instance(rs, scene, o, use, out);
     struct placement at = {.scale = rs->scale};
@@ -333,7 +351,7 @@ static enum err build_object(struct render_scene *rs, const struct scene *scene,
     memcpy(at.center, rs->center, sizeof at.center);
     out->type = ACCEL_TRIANGLES;
     out->mesh = (uint32_t)rs->mesh_count;
-    TL_TRY(place_mesh(rs, m, &at, use->uvs, &rs->meshes[rs->mesh_count]));
+    TL_TRY(place_mesh(rs, m, &at, use, &rs->meshes[rs->mesh_count]));
     rs->mesh_count++;
     return ERR_OK;
 }
@@ -360,6 +378,8 @@ static enum err find_uses(const struct scene *scene, struct mesh_use *uses)
         if (uses[o->mesh].uses++ == 0)
             TL_TRY(find_strays(&scene->meshes[o->mesh], &uses[o->mesh]));
         uses[o->mesh].emits |= object_emits(scene, o);
+        uses[o->mesh].reads_colors |=
+            o->material != SCENE_NONE && scene->materials[o->material].vertex_colors;
     }
     return ERR_OK;
 }

@@ -103,6 +103,7 @@ static void make_material(const struct scene *scene, const struct scene_material
 {
     *out = (struct material){.type = from->type,
                              .twosided = from->twosided,
+                             .vertex_colors = from->vertex_colors,
                              .distribution = from->distribution,
                              .alpha_x = from->alpha_x > ALPHA_MIN ? from->alpha_x : ALPHA_MIN,
                              .alpha_y = from->alpha_y > ALPHA_MIN ? from->alpha_y : ALPHA_MIN,
