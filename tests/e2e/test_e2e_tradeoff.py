@@ -137,13 +137,25 @@ class Page(html.parser.HTMLParser):
         self.text += data
 
 
+def study_with_time_enough(out):
+    """A busy machine measures fewer points in a budget, so it gets a larger one: until the knobs
+    that test_study looks at have been measured twice. What they say is asserted there."""
+    for budget in (6, 12, 24, 48):
+        done = tilery("tradeoff", GLASS_SCENE, "-o", out, "--budget", budget * SLOW,
+                      "--max-depth", 8, timeout=120 + 2 * budget)
+        assert done.returncode == 0, done.stderr
+        got = study_of(out)
+        measured = [p for p in got["points"] if p["repeats"] >= 2]
+        if (any(p["base"] for p in measured) and sum(p["knob"] == "spp" for p in measured) >= 2 and
+                any(p["knob"] == "max-depth" and p["value"] == "1" for p in measured)):
+            break
+    return done, got
+
+
 def test_study(tmp_path):
     """A small budget: every file is there and they agree; the page needs nothing from elsewhere."""
     out = tmp_path / "study"
-    done = tilery("tradeoff", GLASS_SCENE, "-o", out, "--budget", 6 * SLOW, "--max-depth", 8,
-                  timeout=120)
-    assert done.returncode == 0, done.stderr
-    got = study_of(out)
+    done, got = study_with_time_enough(out)
     assert got["tilery_tradeoff"] == 1 and got["reduced"] and not got["interrupted"]
     assert "smaller than the scene's" in done.stderr
     base = [p for p in got["points"] if p["base"]]
