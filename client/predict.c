@@ -12,18 +12,24 @@
 
 /* Two-sided 80 % of a normal distribution. */
 static const double QUANTILE = 1.2816;
-/* Spread of the logarithm that is left when the pilot is right: of time (other programs, the end of
- * a render) and of error (samples better spread than independent ones). */
-static const double TIME_SPREAD = 0.2, ERROR_SPREAD = 0.4;
-/* Error falls as samples to this power: 1 for independent ones, up to 1.9 from 16 to 64 samples in
- * smooth scenes; the middle of what eight scenes did. */
-static const double POWER = 1.3;
+/* Before a pilot has been seen, error falls as samples to this power, +- its deviation: eight
+ * scenes did 1 (independent samples) to 1.9 (stratified ones, smooth pictures). */
+static const double POWER = 1.3, POWER_SPREAD = 0.3;
+/* A straight line is a model: what is left of it, of the logarithm. */
+static const double ERROR_SPREAD = 0.12, TIME_SPREAD = 0.45;
+/* How many pilots' worth of belief TIME_SPREAD has against the scatter that is seen. */
+static const double TIME_BELIEF = 2;
+/* A stated error scatters by more than it states: few groups carry it. Measured. */
+static const double STATED_SPREAD = 0.35;
+/* A fresh farm is slower than the pilots' warm one, measured on a busy machine. */
+static const double FRESH = 1.2;
+static const double PIVOT_SPP = 16;
 /* What a claim costs: its upper bound must be under the target, and looks come in steps. */
 static const double CLAIM_FACTOR = 1.2;
 /* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
 static const double PILOT_PIXELS_MAX = 512.0 * 512.0;
 /* Where a render to a target ends, of the target. */
-static const double CLAIM_ERROR = 0.85;
+static const double CLAIM_ERROR = 0.85, CLAIM_SPREAD = 0.2;
 
 bool predict_wanted(const struct cli_line *line)
 {
@@ -37,42 +43,134 @@ static void spread(double value, double deviation, double *low, double *high)
     *high = value * exp(QUANTILE * deviation);
 }
 
-struct prediction predict(const struct pilot *p, const struct job_spec *spec)
+/* Bayesian weighted least squares; nothing is assumed of the level. */
+struct error_fit predict_fit_error(const struct pilots *p)
+{
+    struct error_fit f = {.power = POWER};
+    double w0 = 0, w1 = 0, w2 = 1 / (POWER_SPREAD * POWER_SPREAD), y0 = 0, y1 = POWER * w2;
+    for (size_t i = 0; i < p->count; i++) {
+        const struct pilot *q = &p->of[i];
+        if (!(q->relmse > 0))
+            continue;
+        double doubt = q->deviation / q->relmse;
+        double w = 1 / (doubt * doubt + ERROR_SPREAD * ERROR_SPREAD);
+        double x = -log(q->spp / PIVOT_SPP), y = log(q->relmse);
+        w0 += w;
+        w1 += w * x;
+        w2 += w * x * x;
+        y0 += w * y;
+        y1 += w * x * y;
+        f.noise = doubt; /* of the largest, which is the last */
+        f.known = true;
+    }
+    if (!f.known)
+        return f;
+    double determinant = w0 * w2 - w1 * w1; /* > 0: the belief in POWER adds to w2 */
+    f.level = (w2 * y0 - w1 * y1) / determinant;
+    f.power = (w0 * y1 - w1 * y0) / determinant;
+    f.level_var = w2 / determinant;
+    f.power_var = w0 / determinant;
+    f.covariance = -w1 / determinant;
+    /* More samples never make it worse. */
+    f.power = f.power > 0.5 ? f.power : 0.5;
+    return f;
+}
+
+/* Logarithm's deviation at spp: of the line, and of what the render will state. */
+static double error_doubt(const struct error_fit *f, double spp)
+{
+    double x = -log(spp / PIVOT_SPP);
+    return sqrt(f->level_var + 2 * x * f->covariance + x * x * f->power_var + f->noise * f->noise +
+                STATED_SPREAD * STATED_SPREAD);
+}
+
+static double error_at(const struct error_fit *f, double spp)
+{
+    return f->known ? exp(f->level - f->power * log(spp / PIVOT_SPP)) : 0;
+}
+
+/* Weighted by 1 / seconds^2: what disturbs a render disturbs it in proportion. */
+struct time_fit predict_fit_time(const struct pilots *p)
+{
+    double w0 = 0, w1 = 0, w2 = 0, y0 = 0, y1 = 0, square = 0;
+    for (size_t i = 0; i < p->count; i++) {
+        double x = p->of[i].spp, y = p->of[i].busy_s > 1e-6 ? p->of[i].busy_s : 1e-6;
+        double w = 1 / (y * y);
+        w0 += w;
+        w1 += w * x;
+        w2 += w * x * x;
+        y0 += w * y;
+        y1 += w * x * y;
+    }
+    double determinant = w0 * w2 - w1 * w1;
+    struct time_fit f = {.spp_s = y1 / w2};
+    if (p->count > 1 && determinant > 0) {
+        double fixed_s = (w2 * y0 - w1 * y1) / determinant;
+        double spp_s = (w0 * y1 - w1 * y0) / determinant;
+        if (fixed_s > 0 && spp_s > 0)
+            f = (struct time_fit){.fixed_s = fixed_s, .spp_s = spp_s};
+    }
+    for (size_t i = 0; i < p->count; i++) {
+        double y = p->of[i].busy_s > 1e-6 ? p->of[i].busy_s : 1e-6;
+        double off = log(y / (f.fixed_s + f.spp_s * p->of[i].spp));
+        square += off * off;
+    }
+    double freedom = p->count > 2 ? (double)p->count - 2 : 0;
+    f.deviation =
+        sqrt((TIME_BELIEF * TIME_SPREAD * TIME_SPREAD + square) / (TIME_BELIEF + freedom));
+    return f;
+}
+
+/* Samples that a render to a target ends with, the pilot apart. */
+static double spp_for(const struct error_fit *f, double gain, double target)
+{
+    if (!f->known)
+        return 0;
+    return PIVOT_SPP * exp((f->level + log(CLAIM_FACTOR * gain / target)) / f->power);
+}
+
+struct prediction predict(const struct pilots *p, const struct job_spec *spec)
 {
     struct prediction out = {.heavy_tail = p->heavy_tail};
-    double core_per_spp = p->core_s / p->spp, doubt = p->relmse > 0 ? p->deviation / p->relmse : 0;
-    double gain = p->gain > 0 && p->gain < 1 ? p->gain : 1, spp = (double)spec->spp, rendered = 0;
-    double time_doubt = TIME_SPREAD, max = spp;
+    struct error_fit error = predict_fit_error(p);
+    struct time_fit time = predict_fit_time(p);
+    time.spp_s *= p->pixel_ratio;
+    double gain = p->gain > 0 && p->gain < 1 ? p->gain : 1;
+    double max = (double)spec->spp, spp = max, rendered = 0, time_doubt = time.deviation;
     if (spec->stop == JOB_STOP_SPP) {
         gain = 1;
     } else if (spec->stop == JOB_STOP_ERROR) {
-        spp = p->spp * pow(CLAIM_FACTOR * p->relmse * gain / spec->target_error, 1 / POWER);
-        time_doubt = sqrt(TIME_SPREAD * TIME_SPREAD + ERROR_SPREAD * ERROR_SPREAD + doubt * doubt);
-        rendered = spp > p->spp ? p->spp : 0; /* the pilot, dropped */
-        spp = spp > p->spp ? spp : p->spp;
+        spp = spp_for(&error, gain, spec->target_error);
+        rendered = spp > PIVOT_SPP ? PIVOT_SPP : 0; /* the pilot, dropped */
+        spp = spp > PIVOT_SPP ? spp : PIVOT_SPP;
     } else {
-        double busy_s = spec->time_limit_s - p->load_s;
-        spp = (busy_s > 0 ? busy_s : 0) * p->threads / core_per_spp;
-        bool dropped = p->core_s / p->threads < 0.12 * spec->time_limit_s;
+        double busy_s = spec->time_limit_s - p->load_s - time.fixed_s;
+        spp = (busy_s > 0 ? busy_s : 0) / time.spp_s;
+        bool dropped = time.spp_s * PIVOT_SPP < 0.12 * spec->time_limit_s;
         gain = dropped ? gain : 1;
-        spp = dropped ? spp - p->spp : spp;
+        spp = dropped ? spp - PIVOT_SPP : spp;
         spp = spp > 4 ? spp : 4;
     }
     bool bounded = spp > max;
     out.spp_mean = bounded ? max : spp;
-    out.relmse = p->relmse * gain * pow(p->spp / out.spp_mean, POWER);
-    if (spec->stop == JOB_STOP_ERROR && !bounded)
+    out.relmse = error_at(&error, out.spp_mean) * gain;
+    double doubt = error_doubt(&error, out.spp_mean);
+    out.seconds = p->load_s + FRESH * (time.fixed_s + time.spp_s * (out.spp_mean + rendered));
+    if (spec->stop == JOB_STOP_ERROR && !bounded) {
+        time_doubt = hypot(time_doubt, doubt / error.power);
         out.relmse = CLAIM_ERROR * spec->target_error;
-    out.seconds = p->load_s + core_per_spp * (out.spp_mean + rendered) / p->threads;
-    if (spec->stop == JOB_STOP_TIME && !bounded)
-        out.seconds = out.seconds > spec->time_limit_s ? out.seconds : spec->time_limit_s;
+        doubt = CLAIM_SPREAD;
+    } else if (spec->stop == JOB_STOP_TIME) {
+        doubt = hypot(doubt, error.power * time.deviation);
+        if (!bounded)
+            out.seconds = out.seconds > spec->time_limit_s ? out.seconds : spec->time_limit_s;
+    }
     spread(out.seconds, time_doubt, &out.seconds_low, &out.seconds_high);
-    double error_doubt = sqrt(ERROR_SPREAD * ERROR_SPREAD + doubt * doubt);
-    spread(out.relmse, error_doubt, &out.relmse_low, &out.relmse_high);
+    spread(out.relmse, doubt, &out.relmse_low, &out.relmse_high);
     return out;
 }
 
-static struct pilot pilot_of(const struct json *report, double threads)
+static void add_pilot(struct pilots *all, const struct json *report)
 {
     const struct json *error = json_get_member(report, "error");
     const struct json *seconds = json_get_member(report, "seconds");
@@ -80,14 +178,13 @@ static struct pilot pilot_of(const struct json *report, double threads)
     double high = reply_number(error, "relmse_high", 0);
     double load_s = reply_number(seconds, "load", 0) + reply_number(seconds, "build", 0);
     struct pilot p = {.spp = reply_number(report, "spp_mean", 1),
-                      .core_s = reply_number(report, "core_seconds", 0),
-                      .load_s = load_s,
-                      .threads = threads,
-                      .relmse = reply_number(error, "relmse", 0),
-                      .gain = reply_number(report, "adaptive_gain", 1),
-                      .heavy_tail = !heavy || heavy->type != JSON_BOOL || heavy->truth};
+                      .busy_s = reply_number(seconds, "total", 0) - load_s,
+                      .relmse = reply_number(error, "relmse", 0)};
     p.deviation = (high - p.relmse) / 1.96;
-    return p;
+    if (all->count == 0)
+        all->load_s = load_s; /* later ones find the scene there */
+    all->heavy_tail = !heavy || heavy->type != JSON_BOOL || heavy->truth; /* the last, largest */
+    all->of[all->count++] = p;
 }
 
 static uint32_t scaled(uint32_t side, double factor)
@@ -121,31 +218,53 @@ static void shrink(struct job_spec *s)
     c->height = c->height < s->height - c->y ? c->height : s->height - c->y;
 }
 
+static int render_pilot(struct study_farm *farm, const struct job_spec *spec, struct pilots *all)
+{
+    static const uint64_t SPP[PILOTS_MAX] = {4, 16, 64};
+    struct farm_json report;
+    struct job_spec pilot = *spec;
+    bool by_error = all->count == 1; /* it is the one that the master plans by */
+    shrink(&pilot);
+    all->pixel_ratio = pixels_of(spec) / pixels_of(&pilot);
+    pilot.stop = by_error ? JOB_STOP_PILOT : JOB_STOP_SPP;
+    pilot.spp = by_error ? JOB_ADAPTIVE_SPP_DEFAULT : SPP[all->count];
+    pilot.seed += all->count;
+    pilot.target_error = pilot.time_limit_s = 0;
+    int status = study_farm_report(farm, &pilot, &report);
+    if (status != EXIT_DONE)
+        return status;
+    if (by_error)
+        all->gain = reply_number(report.json.root, "adaptive_gain", 1);
+    add_pilot(all, report.json.root);
+    farm_json_release(&report);
+    return EXIT_DONE;
+}
+
+/* The largest pilot pays beyond the reach of the others, where it is short or little beside the
+ * render. */
+static bool worth_large(const struct pilots *all, const struct job_spec *spec)
+{
+    enum { SHORT_S = 5, NEAR_SPP = 64, LITTLE_SPP = 512 };
+    double spp = predict(all, spec).spp_mean;
+    return spp >= LITTLE_SPP || (spp >= NEAR_SPP && 4 * all->of[1].busy_s < SHORT_S);
+}
+
 int predict_run(struct cli *cli, const struct job_spec *spec, struct prediction *out)
 {
     struct study_farm farm;
     struct progress progress;
-    struct farm_json report;
-    struct job_spec pilot = *spec;
+    struct pilots all = {.gain = 1, .pixel_ratio = 1};
     if (signals_install() != ERR_OK) {
         cli_error("machine", NULL, "cannot watch for signals: %s", strerror(errno));
         return EXIT_MACHINE;
     }
     progress_init(&progress, PROGRESS_NONE, -1, 0);
     int status = study_farm_open(&farm, cli, &progress);
-    if (status == EXIT_DONE) {
-        shrink(&pilot);
-        pilot.stop = JOB_STOP_PILOT;
-        pilot.spp = JOB_ADAPTIVE_SPP_DEFAULT;
-        pilot.target_error = pilot.time_limit_s = 0;
-        status = study_farm_report(&farm, &pilot, &report);
-    }
-    if (status == EXIT_DONE) {
-        struct pilot p = pilot_of(report.json.root, farm.threads);
-        p.core_s *= pixels_of(spec) / pixels_of(&pilot);
-        *out = predict(&p, spec);
-        farm_json_release(&report);
-    }
+    for (size_t i = 0; i < PILOTS_MAX && status == EXIT_DONE; i++)
+        if (i < 2 || worth_large(&all, spec))
+            status = render_pilot(&farm, spec, &all);
+    if (status == EXIT_DONE)
+        *out = predict(&all, spec);
     study_farm_close(&farm);
     return status;
 }

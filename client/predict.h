@@ -1,9 +1,10 @@
 /* client/predict.h: seconds and error of a job before it is rendered, from a pilot.
  *
- * The pilot is rendered on a farm of our own children, as `tilery render` would start them; what
- * the master says of it (error, the gain of samples by error, thread-seconds) is carried forward:
- * error falls with the samples, time grows with them. docs/ERROR.md has the formulas and how often
- * they were right. Main thread only. Tests: tests/e2e/test_e2e_adaptive.py.
+ * Two or three pilots (4, 16 and, where that is cheap, 64 samples a pixel, each with its own seed)
+ * are rendered on a farm of our own children, as `tilery render` would start them. How fast error
+ * falls is a property of the scene and its sampler, so it is fitted to them; time is a part that
+ * does not grow and one that does. docs/ERROR.md has the formulas and how often they were right.
+ * Main thread only. Tests: tests/unit/test_predict.c, tests/e2e/test_e2e_adaptive.py.
  */
 #ifndef CLIENT_PREDICT_H
 #define CLIENT_PREDICT_H
@@ -12,13 +13,34 @@
 #include "common/buf.h"
 #include "common/job_spec.h"
 
-/* What a pilot measured. */
+enum { PILOTS_MAX = 3 };
+
+/* What one pilot measured. */
 struct pilot {
-    double spp, core_s;       /* samples a pixel, and thread-seconds of them all */
-    double load_s, threads;   /* before the first sample; at work */
+    double spp, busy_s;       /* samples a pixel, and seconds from the scene's being there */
     double relmse, deviation; /* its error, and the standard deviation of that */
-    double gain;              /* work of samples by error over that of equal samples */
+};
+
+/* What all of them did. */
+struct pilots {
+    struct pilot of[PILOTS_MAX];
+    size_t count;
+    double load_s;      /* before the first sample */
+    double gain;        /* work of samples by error over that of equal samples */
+    double pixel_ratio; /* of the picture over the pilots', which are smaller where it is large */
     bool heavy_tail;
+};
+
+/* ln relmse = level - power ln(spp / 16), with the covariance of the two. */
+struct error_fit {
+    double level, power, level_var, power_var, covariance;
+    double noise; /* relative deviation of the stated error itself */
+    bool known;   /* false: no pilot saw an error */
+};
+
+/* Seconds = fixed_s + spp_s spp; deviation of their logarithm. */
+struct time_fit {
+    double fixed_s, spp_s, deviation;
 };
 
 /* 80 % intervals. */
@@ -29,8 +51,10 @@ struct prediction {
     bool heavy_tail; /* unpredictable: nothing but the samples' cost is known */
 };
 
-/* Pure. */
-struct prediction predict(const struct pilot *p, const struct job_spec *spec);
+/* Pure: the fits, and what follows from them. */
+struct error_fit predict_fit_error(const struct pilots *p);
+struct time_fit predict_fit_time(const struct pilots *p);
+struct prediction predict(const struct pilots *p, const struct job_spec *spec);
 
 /* True when the command line asks for one: --spp, --target-error or --time-limit is given. */
 bool predict_wanted(const struct cli_line *line);

@@ -1,0 +1,143 @@
+/* Predictions against pilots whose law is known: error falls as a power of the samples, from 1 to
+ * 1.9, and time is a line; both with log-normal noise. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include "client/predict.h"
+
+static uint64_t state_of_random;
+
+/* splitmix64; twelve uniforms less 6 have the variance 1. */
+static double normal(void)
+{
+    double sum = -6;
+    for (int i = 0; i < 12; i++) {
+        uint64_t z = (state_of_random += UINT64_C(0x9e3779b97f4a7c15));
+        z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+        z = (z ^ z >> 27) * UINT64_C(0x94d049bb133111eb);
+        sum += (double)((z ^ z >> 31) >> 11) * 0x1p-53;
+    }
+    return sum;
+}
+
+static double error_of(double spp, double power)
+{
+    return 0.01 * pow(spp / 16, -power);
+}
+
+static double time_of(double spp)
+{
+    return 0.3 + 0.02 * spp;
+}
+
+static struct pilots pilots_of(double power, double error_noise, double time_noise)
+{
+    struct pilots p = {.count = PILOTS_MAX, .load_s = 1, .gain = 1, .pixel_ratio = 1};
+    for (int i = 0; i < PILOTS_MAX; i++) {
+        struct pilot *q = &p.of[i];
+        q->spp = 4 << 2 * i;
+        q->relmse = error_of(q->spp, power) * exp(error_noise * normal());
+        q->deviation = error_noise * q->relmse;
+        q->busy_s = time_of(q->spp) * exp(time_noise * normal());
+    }
+    return p;
+}
+
+static void near(double value, double expected, double relative)
+{
+    if (!(fabs(value - expected) <= relative * fabs(expected)))
+        fail_msg("%.12g is not %.12g", value, expected);
+}
+
+/* Without noise: the power within what the belief in 1.3 pulls, and the line exactly. */
+static void test_fits(void **state)
+{
+    (void)state;
+    for (double power = 1; power < 1.95; power += 0.1) {
+        struct pilots p = pilots_of(power, 0, 0);
+        struct error_fit error = predict_fit_error(&p);
+        assert_true(error.known);
+        near(error.power, power, 0.02);
+        near(exp(error.level), 0.01, 0.01);
+        struct time_fit time = predict_fit_time(&p);
+        near(time.fixed_s, 0.3, 1e-9);
+        near(time.spp_s, 0.02, 1e-9);
+    }
+}
+
+/* 80 % intervals hold 70 to 95 % of what comes, whatever the power. */
+static void test_coverage(void **state)
+{
+    (void)state;
+    const double powers[] = {1, 1.3, 1.6, 1.9};
+    state_of_random = 1;
+    for (int k = 0; k < 4; k++) {
+        int error_in = 0, time_in = 0, draws = 2000;
+        for (int i = 0; i < draws; i++) {
+            struct pilots p = pilots_of(powers[k], 0.3, 0.4);
+            struct job_spec spec = {.stop = JOB_STOP_SPP, .spp = 256};
+            struct prediction said = predict(&p, &spec);
+            double error = error_of(256, powers[k]) * exp(0.45 * normal());
+            double seconds = 1 + 1.2 * time_of(256) * exp(0.4 * normal());
+            error_in += said.relmse_low <= error && error <= said.relmse_high;
+            time_in += said.seconds_low <= seconds && seconds <= said.seconds_high;
+        }
+        assert_in_range(error_in, draws * 70 / 100, draws * 95 / 100);
+        assert_in_range(time_in, draws * 60 / 100, draws * 95 / 100);
+    }
+}
+
+/* The doubt grows with the way from the pilots. */
+static void test_distance(void **state)
+{
+    (void)state;
+    struct pilots p = pilots_of(1.3, 0, 0);
+    double before = 0;
+    for (uint64_t spp = 64; spp <= 65536; spp *= 4) {
+        struct job_spec spec = {.stop = JOB_STOP_SPP, .spp = spp};
+        struct prediction said = predict(&p, &spec);
+        double ratio = said.relmse_high / said.relmse_low;
+        assert_true(ratio > before);
+        before = ratio;
+    }
+}
+
+/* A target: the samples that the power asks for. No error at all: the pilot is enough. */
+static void test_target(void **state)
+{
+    (void)state;
+    struct pilots p = pilots_of(1.5, 0, 0);
+    struct job_spec spec = {.stop = JOB_STOP_ERROR, .spp = 65536, .target_error = 1e-4};
+    near(predict(&p, &spec).spp_mean, 16 * pow(1.2 * 0.01 / 1e-4, 1 / 1.5), 0.06);
+    for (int i = 0; i < PILOTS_MAX; i++)
+        p.of[i].relmse = p.of[i].deviation = 0;
+    struct prediction said = predict(&p, &spec);
+    assert_true(said.spp_mean == 16 && said.seconds > 0 && isfinite(said.seconds_high));
+}
+
+/* Times that fall with the samples (another program had the machine) still give a cost. */
+static void test_noisy_times(void **state)
+{
+    (void)state;
+    struct pilots p = pilots_of(1.3, 0, 0);
+    p.of[0].busy_s = 9;
+    p.of[1].busy_s = 2;
+    p.of[2].busy_s = 1;
+    struct time_fit f = predict_fit_time(&p);
+    assert_true(f.spp_s > 0 && f.fixed_s >= 0 && f.deviation > 0.5);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_fits),        cmocka_unit_test(test_coverage),
+        cmocka_unit_test(test_distance),    cmocka_unit_test(test_target),
+        cmocka_unit_test(test_noisy_times),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
