@@ -113,8 +113,8 @@ static enum err texture_of(struct assimp_import *a, const struct aiMaterial *m,
         return ERR_OK;
     struct scene_texture t;
     char name[32];
-    scene_texture_init(&t);
-    t.color[0][0] = t.color[0][1] = t.color[0][2] = 1;
+    scene_image_texture_init(&t);
+    t.type = SCENE_TEXTURE_CONSTANT; /* until the parent has the picture */
     t.wrap[0] = wrap_of(modes[0]);
     t.wrap[1] = wrap_of(modes[1]);
     (void)snprintf(name, sizeof name, "picture%zu", a->message->count);

@@ -139,9 +139,7 @@ static enum err read_texture(struct material_reader *r, const struct json *info,
         return ERR_OK;
     const struct json *sampler = gltf_reference(t, v, "sampler", GLTF_SAMPLERS, &index);
     struct scene_texture made;
-    scene_texture_init(&made);
-    made.type = SCENE_TEXTURE_IMAGE;
-    made.color[0][0] = made.color[0][1] = made.color[0][2] = 1;
+    scene_image_texture_init(&made);
     made.wrap[0] = wrap_of(t, sampler, "wrapS");
     made.wrap[1] = wrap_of(t, sampler, "wrapT");
     set_uv_matrix(t, info, made.uv_matrix);

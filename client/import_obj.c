@@ -180,8 +180,7 @@ static enum err map_texture(struct import *im, const char *folder, const struct 
     if (!map->path)
         return ERR_OK;
     struct scene_texture t;
-    scene_texture_init(&t);
-    t.type = SCENE_TEXTURE_IMAGE;
+    scene_image_texture_init(&t);
     TL_TRY(map_image(im, folder, map->path, use, &t.image));
     if (t.image == SCENE_NONE)
         return ERR_OK;
@@ -443,8 +442,7 @@ static enum err ply_texture(struct import *im, const char *data, size_t bytes,
     if (!name)
         return ERR_OK;
     struct scene_texture t;
-    scene_texture_init(&t);
-    t.type = SCENE_TEXTURE_IMAGE;
+    scene_image_texture_init(&t);
     enum err e = map_image(im, ".", name, IMAGE_COLOR, &t.image);
     if (e == ERR_OK && t.image != SCENE_NONE) {
         e = import_add_texture(im, &t, name, &material->texture);

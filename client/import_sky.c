@@ -43,8 +43,7 @@ enum err import_sky(struct import *im)
         fill_row(pixels + (size_t)y * SKY_WIDTH * 3, y);
     image.pixels = pixels;
     struct scene_texture texture;
-    scene_texture_init(&texture);
-    texture.type = SCENE_TEXTURE_IMAGE;
+    scene_image_texture_init(&texture);
     texture.wrap[1] = SCENE_WRAP_CLAMP;
     TL_TRY(import_add_image(im, &image, &texture.image));
     return import_add_texture(im, &texture, "sky", &im->scene.envmap.texture);

@@ -91,6 +91,8 @@ static void put_image_texture(const struct import_writer *w, struct buf *b,
     put_text(b, "path", w->image_paths[t->image]);
     if (is_data)
         put_text(b, "encoding", "linear");
+    if (t->filter != SCENE_FILTER_MIPMAP)
+        put_text(b, "filter", t->filter == SCENE_FILTER_NEAREST ? "nearest" : "bilinear");
     if (t->wrap[0] != SCENE_WRAP_REPEAT || t->wrap[1] != SCENE_WRAP_REPEAT)
         buf_printf(b, ", \"wrap\": [\"%s\", \"%s\"]", wraps[t->wrap[0]], wraps[t->wrap[1]]);
     if (memcmp(t->uv_matrix, same, sizeof same) != 0) {

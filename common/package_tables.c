@@ -124,6 +124,7 @@ static void codec_texture(struct codec *c, struct scene_texture *t)
 {
     codec_name(c, &t->name);
     codec_enum(c, &t->type, SCENE_TEXTURE_IMAGE);
+    codec_enum(c, &t->filter, SCENE_FILTER_MIPMAP);
     codec_f64s(c, t->color[0], 3);
     codec_f64s(c, t->color[1], 3);
     codec_u32(c, &t->image);

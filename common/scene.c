@@ -34,6 +34,14 @@ void scene_texture_init(struct scene_texture *t)
     set3(t->color[1], 0.2, 0.2, 0.2);
 }
 
+void scene_image_texture_init(struct scene_texture *t)
+{
+    scene_texture_init(t);
+    t->type = SCENE_TEXTURE_IMAGE;
+    t->filter = SCENE_FILTER_MIPMAP;
+    set3(t->color[0], 1, 1, 1);
+}
+
 void scene_material_init(struct scene_material *m)
 {
     *m = (struct scene_material){
@@ -188,6 +196,7 @@ static bool image_valid(const struct scene_image *image)
 static bool texture_valid(const struct scene *s, const struct scene_texture *t)
 {
     return t->name && (unsigned)t->type <= SCENE_TEXTURE_IMAGE &&
+           (unsigned)t->filter <= SCENE_FILTER_MIPMAP &&
            (t->type == SCENE_TEXTURE_IMAGE ? t->image < s->image_count : t->image == SCENE_NONE) &&
            (unsigned)t->wrap[0] <= SCENE_WRAP_MIRROR && (unsigned)t->wrap[1] <= SCENE_WRAP_MIRROR &&
            none_negative(t->color[0], 3) && none_negative(t->color[1], 3) &&

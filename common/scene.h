@@ -46,12 +46,16 @@ struct scene_image {
 };
 
 enum scene_texture_type { SCENE_TEXTURE_CONSTANT, SCENE_TEXTURE_CHECKERBOARD, SCENE_TEXTURE_IMAGE };
+/* How a texture is looked up: at a point (checkerboards have no other than NEAREST there), or over
+ * what a sample of the picture stands for. */
+enum scene_texture_filter { SCENE_FILTER_NEAREST, SCENE_FILTER_BILINEAR, SCENE_FILTER_MIPMAP };
 enum scene_wrap { SCENE_WRAP_REPEAT, SCENE_WRAP_CLAMP, SCENE_WRAP_MIRROR };
 
 struct scene_texture {
     char *name;
     enum scene_texture_type type;
-    double color[2][3];      /* constant: [0]; checkerboard: both */
+    enum scene_texture_filter filter;
+    double color[2][3];      /* constant: [0]; checkerboard: both; image: [0] is a factor */
     uint32_t image;          /* index, or SCENE_NONE */
     enum scene_wrap wrap[2]; /* of s and t */
     double uv_matrix[6];     /* s = m0 u + m1 v + m2, t = m3 u + m4 v + m5 */
@@ -192,6 +196,7 @@ void scene_release(struct scene *s);
 /* Defaults of one element, as SCENE-FORMAT and docs/SCENE.md give them. */
 void scene_camera_init(struct scene_camera *c);
 void scene_texture_init(struct scene_texture *t);
+void scene_image_texture_init(struct scene_texture *t); /* of type IMAGE; still without one */
 void scene_material_init(struct scene_material *m);
 void scene_object_init(struct scene_object *o);
 

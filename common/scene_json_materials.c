@@ -115,8 +115,13 @@ static void load_constant(struct scene_loader *l, const struct json *v, struct s
 
 static void load_checkerboard(struct scene_loader *l, const struct json *v, struct scene_texture *t)
 {
-    static const char *const keys[] = {"type", "color0", "color1", "tex_coordinate_generator"};
+    static const char *const keys[] = {"type", "color0", "color1", "filter",
+                                       "tex_coordinate_generator"};
+    static const char *const filters[] = {"nearest", "mipmap"};
+    int filter = 0;
     SCENE_LOAD_KEYS(l, v, keys);
+    (void)json_get_choice(&l->g, v, "filter", filters, 2, &filter);
+    t->filter = filter == 0 ? SCENE_FILTER_NEAREST : SCENE_FILTER_MIPMAP;
     (void)scene_load_color(l, v, "color0", t->color[0]);
     (void)scene_load_color(l, v, "color1", t->color[1]);
     load_generator(l, json_get_member(v, "tex_coordinate_generator"), t);
@@ -125,12 +130,15 @@ static void load_checkerboard(struct scene_loader *l, const struct json *v, stru
 static void load_image_texture(struct scene_loader *l, const struct json *v,
                                struct scene_texture *t)
 {
-    static const char *const keys[] = {"type", "path",     "tex_coordinate_generator",
-                                       "wrap", "encoding", "color"};
+    static const char *const keys[] = {
+        "type", "path", "tex_coordinate_generator", "wrap", "encoding", "color", "filter"};
     static const char *const encodings[] = {"srgb", "linear"};
+    static const char *const filters[] = {"nearest", "bilinear", "mipmap"};
     const char *path;
-    int encoding = 0;
+    int encoding = 0, filter = SCENE_FILTER_MIPMAP;
     SCENE_LOAD_KEYS(l, v, keys);
+    (void)json_get_choice(&l->g, v, "filter", filters, 3, &filter);
+    t->filter = (enum scene_texture_filter)filter;
     t->color[0][0] = t->color[0][1] = t->color[0][2] = 1; /* a factor */
     (void)scene_load_color(l, v, "color", t->color[0]);
     load_generator(l, json_get_member(v, "tex_coordinate_generator"), t);

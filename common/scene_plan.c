@@ -93,6 +93,10 @@ static void mark_texture(struct scene_plan *p, const struct scene *s, uint32_t i
     p->textures[index] = true;
     if (t->type == SCENE_TEXTURE_CHECKERBOARD)
         need(p, SCENE_FEATURE_PATTERNS);
+    /* The sky is looked up at points. */
+    if (t->filter == SCENE_FILTER_MIPMAP && t->type != SCENE_TEXTURE_CONSTANT &&
+        index != s->envmap.texture)
+        need(p, SCENE_FEATURE_FILTERED);
     if (t->type != SCENE_TEXTURE_IMAGE)
         return;
     need(p, SCENE_FEATURE_IMAGES);

@@ -30,6 +30,7 @@
     X(ENVIRONMENT, "environment")                                                                  \
     X(IMAGES, "image textures")                                                                    \
     X(PATTERNS, "patterns")                                                                        \
+    X(FILTERED, "filtered textures")                                                               \
     X(NORMAL_MAPS, "normal maps")                                                                  \
     X(OPACITY, "opacity")                                                                          \
     X(NORMALS, "vertex normals")                                                                   \

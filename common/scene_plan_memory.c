@@ -36,6 +36,18 @@ static uint64_t image_bytes(const struct scene_image *image, unsigned read)
            (image->format == SCENE_IMAGE_F32 ? sizeof(float) : 1);
 }
 
+/* Levels of averages take a third more. */
+static bool has_pyramid(const struct scene *s, const struct scene_plan *p, size_t image)
+{
+    for (uint32_t i = 0; i < s->texture_count; i++) {
+        const struct scene_texture *t = &s->textures[i];
+        if (p->textures[i] && t->type == SCENE_TEXTURE_IMAGE && t->image == image &&
+            t->filter == SCENE_FILTER_MIPMAP && i != s->envmap.texture)
+            return true;
+    }
+    return false;
+}
+
 /* Positions, normals and indices of one placement of a mesh. */
 static uint64_t placed_bytes(const struct scene_mesh *m)
 {
@@ -81,8 +93,10 @@ struct scene_plan_memory scene_plan_memory(const struct scene *scene, const stru
     struct scene_plan_memory out = {0};
     add_objects(scene, p, &out);
     add_meshes(scene, p, &out);
-    for (size_t i = 0; i < scene->image_count; i++)
-        out.images += p->channels[i] ? image_bytes(&scene->images[i], p->channels[i]) : 0;
+    for (size_t i = 0; i < scene->image_count; i++) {
+        uint64_t bytes = p->channels[i] ? image_bytes(&scene->images[i], p->channels[i]) : 0;
+        out.images += bytes && has_pyramid(scene, p, i) ? bytes + bytes / 3 : bytes;
+    }
     out.lights += scene->light_count * LIGHT_BYTES;
     const struct scene_texture *sky =
         scene->envmap.texture == SCENE_NONE ? NULL : &scene->textures[scene->envmap.texture];

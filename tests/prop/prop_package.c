@@ -77,6 +77,7 @@ static void make_texture(const struct scene *s, struct scene_texture *t, size_t 
         t->image = draw((uint32_t)s->image_count);
     t->color[1][2] = draw_number();
     t->wrap[1] = (enum scene_wrap)draw(3);
+    t->filter = (enum scene_texture_filter)draw(3);
 }
 
 static void make_material(const struct scene *s, struct scene_material *m, size_t i)

@@ -19,6 +19,10 @@ tilery_test(test_light_tree LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_light_tree.c ${render_kit})
 tilery_test(test_shade LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_shade.c ${render_kit})
+tilery_test(test_texture LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_texture.c ${render_kit})
+tilery_test(test_footprint LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_footprint.c ${render_kit})
 tilery_test(test_integrators LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_integrators.c ${render_kit})
 tilery_test(test_aov LABEL render LINKS tl_worker m

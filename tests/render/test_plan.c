@@ -164,9 +164,8 @@ static uint32_t add_image(struct scene *s, uint32_t channels, bool grey, unsigne
         for (uint32_t k = 0; k < channels; k++)
             *at++ = k == 3 ? alpha : (unsigned char)(37 * (i + 1) + (grey ? 0 : 91 * k));
     struct scene_texture *t = &s->textures[s->texture_count];
-    scene_texture_init(t);
+    scene_image_texture_init(t);
     t->name = mem_sprintf("t%zu", s->texture_count);
-    t->type = SCENE_TEXTURE_IMAGE;
     t->image = (uint32_t)s->image_count++;
     return (uint32_t)s->texture_count++;
 }

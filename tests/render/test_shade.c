@@ -156,7 +156,7 @@ static void vertex_colors_are_interpolated(void **state)
             double b2 = (1 - b1) / 4;
             struct hit hit = {.object = quad, .b1 = b1, .b2 = b2, .ng = {0, 0, 1}};
             struct shade at;
-            shade_of_hit(built, &hit, v3(0, 0, -1), &at);
+            shade_of_hit(built, &hit, v3(0, 0, -1), NULL, &at);
             const uint32_t *k = mesh->indices;
             double c[3];
             for (int j = 0; j < 3; j++)
@@ -169,7 +169,7 @@ static void vertex_colors_are_interpolated(void **state)
             assert_true(fabs(at.bsdf.color.g - 0.5 * c[1]) < 1e-15);
             assert_true(fabs(at.bsdf.color.b - 0.75 * c[2]) < 1e-15);
             hit.object = ball; /* has none: white */
-            shade_of_hit(built, &hit, v3(0, 0, -1), &at);
+            shade_of_hit(built, &hit, v3(0, 0, -1), NULL, &at);
             assert_true(at.bsdf.color.r == 0.5 && at.bsdf.color.b == 0.75);
         }
         render_scene_free(built);

@@ -131,12 +131,14 @@ static void textures_look_where_they_should(void **state)
     (void)state;
     /* 2 x 2, rows from the top: 0 1 / 2 3. */
     static const float pixels[4] = {0, 1, 2, 3};
+    struct texture_image image = {.channel_count = 1, .level_count = 1};
+    texture_level_init(&image.levels[0], 2, 2);
+    image.levels[0].texels = pixels;
     struct texture t = {.type = SCENE_TEXTURE_IMAGE,
+                        .filter = SCENE_FILTER_BILINEAR,
+                        .color = {{1, 1, 1}},
                         .uv_matrix = {1, 0, 0, 0, 1, 0},
-                        .width = 2,
-                        .height = 2,
-                        .channel_count = 1,
-                        .pixels = pixels};
+                        .image = &image};
     assert_true(fabs(texture_color(&t, 0.25, 0.75).r - 0) < 1e-12);
     assert_true(fabs(texture_color(&t, 0.75, 0.75).r - 1) < 1e-12);
     assert_true(fabs(texture_color(&t, 0.25, 0.25).r - 2) < 1e-12);

@@ -60,6 +60,7 @@ static void make_scene(struct scene *s)
         t->name = mem_sprintf("t%zu", s->texture_count);
     }
     s->textures[1].type = s->textures[2].type = SCENE_TEXTURE_IMAGE;
+    s->textures[1].filter = SCENE_FILTER_MIPMAP;
     s->textures[1].image = 0;
     s->textures[2].image = 1;
     for (s->material_count = 0; s->material_count < 3; s->material_count++) {

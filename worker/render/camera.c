@@ -71,3 +71,15 @@ void camera_ray(const struct camera *c, double x, double y, const double lens[2]
         break;
     }
 }
+
+void camera_footprint(const struct camera *c, double x, double y, const double lens[2], double step,
+                      struct footprint *out)
+{
+    vec3 org, dir;
+    camera_ray(c, x, y, lens, &org, &dir);
+    for (int k = 0; k < 2; k++) {
+        camera_ray(c, k ? x : x + step, k ? y + step : y, lens, &out->org[k], &out->dir[k]);
+        out->org[k] = v3_sub(out->org[k], org);
+        out->dir[k] = v3_sub(out->dir[k], dir);
+    }
+}

@@ -7,6 +7,7 @@
 #define WORKER_RENDER_CAMERA_H
 
 #include "common/scene.h"
+#include "worker/render/footprint.h"
 #include "worker/render/vec.h"
 
 struct camera {
@@ -27,5 +28,9 @@ void camera_init(struct camera *c, const struct scene_camera *from, uint32_t wid
 /* `lens` in [0,1)^2 is used by the thin lens only. */
 void camera_ray(const struct camera *c, double x, double y, const double lens[2], vec3 *org,
                 vec3 *dir);
+
+/* What that ray stands for when its neighbours are `step` pixels away. */
+void camera_footprint(const struct camera *c, double x, double y, const double lens[2], double step,
+                      struct footprint *out);
 
 #endif

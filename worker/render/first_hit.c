@@ -60,7 +60,13 @@ void first_hit_means(const struct render_scene *scene, struct render_scratch *w)
         struct shade at = {0};
         rgb albedo = rgb_grey(0);
         if (w->hits[i].object != SCENE_NONE) {
-            shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), &at);
+            struct footprint copy, *there = NULL;
+            if (scene->has_filtered) {
+                copy = w->footprints[w->active[i]];
+                there = &copy;
+                footprint_arrive(there, w->paths[w->active[i]].org, &w->rays[i], &w->hits[i]);
+            }
+            shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), there, &at);
             albedo = albedo_of(&at.bsdf);
         }
         put_vec(set, AOV_NORMAL, at.surface.ns, out, &count);

@@ -55,8 +55,8 @@ static void add_environment(const struct render_scene *scene, struct path *path,
 }
 
 /* Light that the surface itself emits towards where the path came from. */
-static void add_emission(const struct render_scene *scene, struct path *path,
-                         const struct surface *s, vec3 dir)
+static void add_emission(const struct render_scene *scene, struct path *path, const struct hit *hit,
+                         const struct surface *s, vec3 dir, const struct footprint *footprint)
 {
     const struct render_object *object = &scene->objects[s->object];
     double cosine = -v3_dot(s->ng, dir);
@@ -70,10 +70,10 @@ static void add_emission(const struct render_scene *scene, struct path *path,
         weight = found_weight(scene, path, pdf);
     }
     rgb light_in = rgb_mul(path->beta, object->radiance);
-    if (object->emission_texture != SCENE_NONE) {
-        const struct texture *texture = &scene->textures[object->emission_texture];
-        light_in = rgb_mul(light_in, texture_color(texture, s->u, s->v));
-    }
+    /* What light sampling finds too must be the same there: at points. */
+    if (object->emission_texture != SCENE_NONE)
+        light_in =
+            rgb_mul(light_in, shade_emission(scene, hit, s, path->pdf == 0 ? footprint : NULL));
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
 }
 
@@ -138,23 +138,23 @@ static bool last_edge_counts(const struct render_scene *scene, bool delta)
 
 /* Draws where the path goes on; false if it ends. */
 static bool scatter(const struct render_scene *scene, struct path *path, const struct shade *at,
-                    const double direction[2], struct choices *choices, bool shares, vec3 *wi)
+                    const double direction[2], struct choices *choices, bool shares, vec3 *wi,
+                    struct bsdf_sample *sample)
 {
     double lobe = at->bsdf.material->one_lobe ? 0 : choose(choices, path, CHOICE_LOBE);
     const double u[3] = {direction[0], direction[1], lobe};
-    struct bsdf_sample sample;
-    if (!bsdf_sample(&at->bsdf, at->wo, u, &sample))
+    if (!bsdf_sample(&at->bsdf, at->wo, u, sample))
         return false;
-    *wi = frame_to_world(&at->frame, sample.wi);
-    bool delta = sample.flags & BSDF_DELTA;
+    *wi = frame_to_world(&at->frame, sample->wi);
+    bool delta = sample->flags & BSDF_DELTA;
     if (delta)
         *wi = v3_unit(*wi);
-    if (!shade_is_consistent(at, *wi, sample.wi.z))
+    if (!shade_is_consistent(at, *wi, sample->wi.z))
         return false;
-    double left = shade_tilt_shadowing(at, *wi, sample.wi.z);
-    path->beta = rgb_mul(path->beta, rgb_scale(sample.weight, left));
-    path->eta2 *= sample.eta2;
-    path->pdf = delta ? 0 : sample.pdf;
+    double left = shade_tilt_shadowing(at, *wi, sample->wi.z);
+    path->beta = rgb_mul(path->beta, rgb_scale(sample->weight, left));
+    path->eta2 *= sample->eta2;
+    path->pdf = delta ? 0 : sample->pdf;
     path->org = at->surface.p;
     path->n = light_side(at);
     /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
@@ -174,9 +174,10 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
         return false;
     }
     struct shade at;
-    shade_of_hit(scene, hit, dir, &at);
+    struct footprint *footprint = wave_arrive(scene, w, from);
+    shade_of_hit(scene, hit, dir, footprint, &at);
     if (scene->objects[hit->object].light_begin != SCENE_NONE)
-        add_emission(scene, path, &at.surface, dir);
+        add_emission(scene, path, hit, &at.surface, dir, footprint);
     const struct material *m = at.bsdf.material;
     bool reuse = wave_group_side(scene) > 1;
     if (reuse && w->reuse[index].state == REUSE_LEFT)
@@ -199,8 +200,11 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
         reuse_leave(w, index, &at, depth);
         shares = true;
     }
-    if (!scatter(scene, path, &at, u, &choices, shares, &wi))
+    struct bsdf_sample sample;
+    if (!scatter(scene, path, &at, u, &choices, shares, &wi, &sample))
         return false;
+    if (footprint)
+        wave_leave(scene, &at, hit, dir, wi, &sample, footprint);
     const struct surface *s = &at.surface;
     wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);
     return true;
@@ -231,7 +235,7 @@ void integrate_ao(const struct render_scene *scene, struct render_scratch *w)
         if (w->hits[i].object == SCENE_NONE)
             continue;
         struct shade at;
-        shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), &at);
+        shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), wave_arrive(scene, w, i), &at);
         double u[SAMPLER_SET_VALUES];
         uint32_t index = w->active[i];
         sampler_set(&w->paths[index].sampler, WAVE_SET_VERTEX, u);

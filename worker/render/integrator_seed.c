@@ -30,7 +30,9 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
         return false;
     struct path *path = &w->paths[index];
     struct shade at;
-    shade_of_hit(scene, hit, v3_of(w->rays[from].dir), &at);
+    vec3 dir = v3_of(w->rays[from].dir);
+    struct footprint *footprint = wave_arrive(scene, w, from);
+    shade_of_hit(scene, hit, dir, footprint, &at);
     const struct material *m = at.bsdf.material;
     if (m->type == SCENE_MATERIAL_DIFFUSE)
         connect_light(scene, w, index, &at);
@@ -46,6 +48,10 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     path->beta = rgb_mul(path->beta, sample.weight);
     vec3 wi = v3_unit(frame_to_world(&at.frame, sample.wi));
     const struct surface *s = &at.surface;
+    if (footprint) {
+        wave_leave(scene, &at, hit, dir, wi, &sample, footprint);
+        path->org = s->p;
+    }
     wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);
     return true;
 }

@@ -155,6 +155,9 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
         sampler_set(&own, WAVE_SET_LENS, u);
     vec3 dir;
     camera_ray(&scene->camera, film_x, film_y, u, &path->org, &dir);
+    if (scene->has_filtered)
+        camera_footprint(&scene->camera, film_x, film_y, u, scene->footprint_step,
+                         &w->footprints[index]);
     wave_continue(w, index, index, path->org, dir);
 }
 

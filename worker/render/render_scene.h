@@ -68,7 +68,9 @@ struct render_scene {
     uint32_t sharers;           /* of the owner: how many refer to it, itself included */
     struct scene_camera scene_camera;
 
-    bool has_alpha; /* some surface lets light through: shadow rays must look */
+    bool has_filtered;     /* some texture is averaged over footprints */
+    double footprint_step; /* pixels between samples of the job */
+    bool has_alpha;        /* some surface lets light through: shadow rays must look */
     vec3 seed_light_position;
     rgb seed_light_flux;
 };

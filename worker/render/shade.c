@@ -13,9 +13,9 @@ static frame frame_along(vec3 n, vec3 dpdu)
 
 /* The shading normal bent by a tangent-space normal map. */
 static vec3 mapped_normal(const struct render_scene *scene, const struct material *m,
-                          const struct surface *s)
+                          const struct surface *s, const struct texture_footprint *footprint)
 {
-    rgb c = texture_color(&scene->textures[m->normal_texture], s->u, s->v);
+    rgb c = texture_filtered(&scene->textures[m->normal_texture], s->u, s->v, footprint);
     vec3 local = v3((2 * c.r - 1) * m->normal_scale, (2 * c.g - 1) * m->normal_scale, 2 * c.b - 1);
     frame f = frame_along(s->ns, s->dpdu);
     f.t = v3_scale(f.t, s->handed);
@@ -31,18 +31,20 @@ static double clamp01(double x)
 
 /* Metallic-roughness and transmission at the point, as glTF packs them. */
 static void look_up_principled(const struct render_scene *scene, const struct material *m,
-                               const struct surface *s, struct bsdf *b)
+                               const struct surface *s, const struct texture_footprint *footprint,
+                               struct bsdf *b)
 {
     b->metallic = m->metallic;
     b->roughness = m->roughness;
     b->transmission = m->transmission;
     if (m->metallic_roughness_texture != SCENE_NONE) {
-        rgb t = texture_color(&scene->textures[m->metallic_roughness_texture], s->u, s->v);
+        rgb t = texture_filtered(&scene->textures[m->metallic_roughness_texture], s->u, s->v,
+                                 footprint);
         b->roughness *= clamp01(t.g);
         b->metallic *= clamp01(t.b);
     }
     if (m->transmission_texture != SCENE_NONE) {
-        rgb t = texture_color(&scene->textures[m->transmission_texture], s->u, s->v);
+        rgb t = texture_filtered(&scene->textures[m->transmission_texture], s->u, s->v, footprint);
         b->transmission *= clamp01(t.r);
     }
 }
@@ -56,7 +58,7 @@ double shade_opacity(const struct render_scene *scene, const struct hit *hit)
     if (m->texture != SCENE_NONE) {
         struct surface s;
         surface_of_hit(scene, hit, &s);
-        (void)texture_color_alpha(&scene->textures[m->texture], s.u, s.v, &alpha);
+        alpha = texture_alpha(&scene->textures[m->texture], s.u, s.v);
     }
     alpha = clamp01(alpha * m->alpha);
     return m->alpha_cutoff < 0 ? alpha : alpha >= m->alpha_cutoff;
@@ -81,17 +83,32 @@ double shade_tilt_shadowing(const struct shade *s, vec3 wi, double wi_local_z)
     return 2 / (1 + sqrt(1 + s->tilt_alpha2 * tan2));
 }
 
+rgb shade_emission(const struct render_scene *scene, const struct hit *hit, const struct surface *s,
+                   const struct footprint *footprint)
+{
+    const struct texture *t = &scene->textures[scene->objects[hit->object].emission_texture];
+    struct texture_footprint uv;
+    if (footprint)
+        footprint_uv(scene, hit, footprint, &uv);
+    return texture_filtered(t, s->u, s->v, footprint ? &uv : NULL);
+}
+
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
-                  struct shade *out)
+                  const struct footprint *footprint, struct shade *out)
 {
     surface_of_hit(scene, hit, &out->surface);
     struct surface *s = &out->surface;
     const struct material *m = &scene->materials[s->material];
+    struct texture_footprint area, *uv = NULL;
+    if (footprint && m->filtered) {
+        footprint_uv(scene, hit, footprint, &area);
+        uv = &area;
+    }
     vec3 wo = v3_neg(dir);
     out->smooth = s->ns;
     out->tilt_alpha2 = 0;
     if (m->normal_texture != SCENE_NONE)
-        s->ns = mapped_normal(scene, m, s);
+        s->ns = mapped_normal(scene, m, s, uv);
     /* A shading normal seen from behind where the surface is seen from the front, or the other
      * way about, says nothing: the geometric one takes over. */
     out->bent = (v3_dot(wo, s->ns) > 0) != (v3_dot(wo, s->ng) > 0);
@@ -104,11 +121,11 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     out->bsdf.material = m;
     out->bsdf.color = m->color;
     if (m->texture != SCENE_NONE) {
-        rgb t = texture_color(&scene->textures[m->texture], s->u, s->v);
+        rgb t = texture_filtered(&scene->textures[m->texture], s->u, s->v, uv);
         out->bsdf.color = rgb_mul(m->color, t);
     }
     if (m->vertex_colors)
         out->bsdf.color = rgb_mul(out->bsdf.color, s->color);
     if (m->type == SCENE_MATERIAL_PRINCIPLED)
-        look_up_principled(scene, m, s, &out->bsdf);
+        look_up_principled(scene, m, s, uv, &out->bsdf);
 }

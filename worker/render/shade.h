@@ -20,9 +20,14 @@ struct shade {
 /* How opaque the surface is at a hit, 0 to 1. */
 double shade_opacity(const struct render_scene *scene, const struct hit *hit);
 
-/* `dir` is the unit direction of the ray that hit. */
+/* `dir` is the unit direction of the ray that hit. `footprint` is what it stands for there, NULL
+ * for a point; only scene->has_filtered makes a difference. */
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
-                  struct shade *out);
+                  const struct footprint *footprint, struct shade *out);
+
+/* Emitted radiance's texture at the hit, over the footprint if it is not NULL. */
+rgb shade_emission(const struct render_scene *scene, const struct hit *hit, const struct surface *s,
+                   const struct footprint *footprint);
 
 /* What a normal map's tilt leaves of light reflected to or from wi (scene space): 1 without one.
  * Facets tilted as a map tilts them hide each other at grazing directions; without this a tilted

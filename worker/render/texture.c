@@ -11,6 +11,44 @@ static double floor_of(double x)
     return t > x ? t - 1 : t;
 }
 
+/* --- Texels --------------------------------------------------------------- */
+
+void texture_level_init(struct texture_level *l, uint32_t width, uint32_t height)
+{
+    uint32_t side = 1u << TEXTURE_TILE_SHIFT;
+    *l = (struct texture_level){.width = width, .height = height};
+    l->tile_shift[0] = width < side ? 0 : TEXTURE_TILE_SHIFT;
+    l->tile_shift[1] = height < side ? 0 : TEXTURE_TILE_SHIFT;
+    l->tiles_across = ((width - 1) >> l->tile_shift[0]) + 1;
+}
+
+size_t texture_level_texels(const struct texture_level *l)
+{
+    size_t tiles_down = ((l->height - 1) >> l->tile_shift[1]) + 1;
+    return l->tiles_across * tiles_down << (l->tile_shift[0] + l->tile_shift[1]);
+}
+
+void texture_texel(const struct texture_image *image, const struct texture_level *l, uint32_t x,
+                   uint32_t y, double c[4])
+{
+    uint32_t count = image->channel_count;
+    size_t at = texture_place(l, x, y) * count;
+    c[3] = 1;
+    if (image->format == SCENE_IMAGE_F32) {
+        const float *p = (const float *)l->texels + at;
+        for (uint32_t k = 0; k < count; k++)
+            c[k] = (double)p[k];
+    } else {
+        const unsigned char *p = (const unsigned char *)l->texels + at;
+        for (uint32_t k = 0; k < count; k++) {
+            bool curve = image->format == SCENE_IMAGE_U8_SRGB && k < 3;
+            c[k] = curve ? srgb_table[p[k]] : p[k] / 255.0;
+        }
+    }
+    if (count == 1)
+        c[1] = c[2] = c[0];
+}
+
 /* A texel index for any whole number, by the wrap mode. */
 static uint32_t wrap_index(double i, uint32_t size, enum scene_wrap wrap)
 {
@@ -25,63 +63,202 @@ static uint32_t wrap_index(double i, uint32_t size, enum scene_wrap wrap)
     return !(r > 0) ? 0 : r >= n - 1 ? size - 1 : (uint32_t)r;
 }
 
-rgb texture_texel(const struct texture *t, uint32_t x, uint32_t y, double *alpha)
+/* --- At a point ----------------------------------------------------------- */
+
+static void nearest(const struct texture *t, const struct texture_level *l, double s, double r,
+                    double c[4])
 {
-    size_t at = ((size_t)y * t->width + x) * t->channel_count;
-    double c[4] = {0, 0, 0, 1};
-    if (t->format == SCENE_IMAGE_F32) {
-        const float *p = (const float *)t->pixels + at;
-        for (uint32_t k = 0; k < t->channel_count; k++)
-            c[k] = (double)p[k];
-    } else {
-        const unsigned char *p = (const unsigned char *)t->pixels + at;
-        for (uint32_t k = 0; k < t->channel_count; k++) {
-            bool curve = t->format == SCENE_IMAGE_U8_SRGB && k < 3;
-            c[k] = curve ? srgb_table[p[k]] : p[k] / 255.0;
-        }
-    }
-    *alpha = c[3];
-    return t->channel_count == 1 ? rgb_grey(c[0]) : (rgb){c[0], c[1], c[2]};
+    double x = floor_of(s * l->width), y = floor_of((1 - r) * l->height);
+    texture_texel(t->image, l, wrap_index(x, l->width, t->wrap[0]),
+                  wrap_index(y, l->height, t->wrap[1]), c);
 }
 
-static rgb image_color(const struct texture *t, double s, double r, double *alpha)
+static void bilinear(const struct texture *t, const struct texture_level *l, double s, double r,
+                     double c[4])
 {
-    double x = s * t->width - 0.5, y = (1 - r) * t->height - 0.5;
+    double x = s * l->width - 0.5, y = (1 - r) * l->height - 0.5;
     double x0 = floor_of(x), y0 = floor_of(y);
     double fx = x - x0, fy = y - y0;
     uint32_t xs[2], ys[2];
     for (int k = 0; k < 2; k++) {
-        xs[k] = wrap_index(x0 + k, t->width, t->wrap[0]);
-        ys[k] = wrap_index(y0 + k, t->height, t->wrap[1]);
+        xs[k] = wrap_index(x0 + k, l->width, t->wrap[0]);
+        ys[k] = wrap_index(y0 + k, l->height, t->wrap[1]);
     }
-    rgb sum = {0, 0, 0};
-    double alpha_sum = 0;
+    c[0] = c[1] = c[2] = c[3] = 0;
     for (int k = 0; k < 4; k++) {
-        double a, w = (k & 1 ? fx : 1 - fx) * (k & 2 ? fy : 1 - fy);
-        sum = rgb_mad(sum, texture_texel(t, xs[k & 1], ys[k >> 1], &a), w);
-        alpha_sum += a * w;
+        double texel[4], w = (k & 1 ? fx : 1 - fx) * (k & 2 ? fy : 1 - fy);
+        texture_texel(t->image, l, xs[k & 1], ys[k >> 1], texel);
+        for (int j = 0; j < 4; j++)
+            c[j] += texel[j] * w;
     }
-    *alpha = alpha_sum;
-    return sum;
 }
 
-rgb texture_color_alpha(const struct texture *t, double u, double v, double *alpha)
+static void at_point(const struct texture *t, double s, double r, double c[4])
 {
-    *alpha = 1;
+    const struct texture_level *l = &t->image->levels[0];
+    if (t->filter == SCENE_FILTER_NEAREST)
+        nearest(t, l, s, r, c);
+    else
+        bilinear(t, l, s, r, c);
+}
+
+static rgb factored(const struct texture *t, const double c[4])
+{
+    return rgb_mul((rgb){c[0], c[1], c[2]}, t->color[0]);
+}
+
+static void map_uv(const struct texture *t, double u, double v, double *s, double *r)
+{
+    const double *m = t->uv_matrix;
+    *s = m[0] * u + m[1] * v + m[2];
+    *r = m[3] * u + m[4] * v + m[5];
+}
+
+rgb texture_color(const struct texture *t, double u, double v)
+{
     if (t->type == SCENE_TEXTURE_CONSTANT)
         return t->color[0];
-    const double *m = t->uv_matrix;
-    double s = m[0] * u + m[1] * v + m[2];
-    double r = m[3] * u + m[4] * v + m[5];
-    if (t->type == SCENE_TEXTURE_IMAGE)
-        return image_color(t, s, r, alpha);
+    double s, r, c[4];
+    map_uv(t, u, v, &s, &r);
+    if (t->type == SCENE_TEXTURE_IMAGE) {
+        at_point(t, s, r, c);
+        return factored(t, c);
+    }
     /* Same parity of floor(2 s) and floor(2 t): their sum is even. */
     double sum = floor_of(2 * s) + floor_of(2 * r);
     return t->color[sum - 2 * floor_of(sum / 2) != 0];
 }
 
-rgb texture_color(const struct texture *t, double u, double v)
+double texture_alpha(const struct texture *t, double u, double v)
 {
-    double alpha;
-    return texture_color_alpha(t, u, v, &alpha);
+    if (t->type != SCENE_TEXTURE_IMAGE || t->image->channel_count < 4)
+        return 1;
+    double s, r, c[4];
+    map_uv(t, u, v, &s, &r);
+    at_point(t, s, r, c);
+    return c[3];
+}
+
+/* --- Over a footprint ------------------------------------------------------ */
+
+/* The ellipse that touches the sides of a parallelogram from inside, scaled to its width: half axes
+ * are those of {a cos + b sin}. The longer axis as a vector, and both lengths. */
+struct ellipse {
+    double x, y;
+    double longer, shorter;
+};
+
+static struct ellipse ellipse_of(const double a[2], const double b[2])
+{
+    /* The symmetric matrix a a' + b b' has the squares of the lengths as eigenvalues. */
+    double xx = a[0] * a[0] + b[0] * b[0], yy = a[1] * a[1] + b[1] * b[1];
+    double xy = a[0] * a[1] + b[0] * b[1];
+    double mean = (xx + yy) / 2, half = (xx - yy) / 2;
+    double root = sqrt(half * half + xy * xy);
+    double longer = sqrt(mean + root);
+    struct ellipse e = {.longer = longer};
+    e.shorter = longer > 0 ? fabs(a[0] * b[1] - a[1] * b[0]) / longer : 0;
+    /* Its eigenvector, from the row that does not cancel. */
+    double x = half > 0 ? half + root : xy, y = half > 0 ? xy : root - half;
+    double length = sqrt(x * x + y * y);
+    e.x = length > 0 ? x / length * longer : longer;
+    e.y = length > 0 ? y / length * longer : 0;
+    return e;
+}
+
+/* Between the two levels whose texels are just narrower and just wider than `width` texels of the
+ * finest, linearly in the width. */
+static void trilinear(const struct texture *t, double s, double r, double width, double c[4])
+{
+    uint32_t level = 0, last = t->image->level_count - 1;
+    while (width >= 2 && level < last) {
+        width *= 0.5;
+        level++;
+    }
+    bilinear(t, &t->image->levels[level], s, r, c);
+    if (!(width > 1) || level == last)
+        return;
+    double coarse[4];
+    bilinear(t, &t->image->levels[level + 1], s, r, coarse);
+    for (int j = 0; j < 4; j++)
+        c[j] += (coarse[j] - c[j]) * (width - 1);
+}
+
+static void image_mean(const struct texture *t, double s, double r, const double side[2][2],
+                       double c[4])
+{
+    const struct texture_image *image = t->image;
+    double texels[2] = {image->levels[0].width, image->levels[0].height};
+    double a[2] = {side[0][0] * texels[0], side[0][1] * texels[1]};
+    double b[2] = {side[1][0] * texels[0], side[1][1] * texels[1]};
+    struct ellipse e = ellipse_of(a, b);
+    /* Also where it is no number: nothing is known of the place then. */
+    if (!(e.longer < 4.0 * SCENE_IMAGE_SIDE_MAX)) {
+        bilinear(t, &image->levels[image->level_count - 1], s, r, c);
+        return;
+    }
+    double width =
+        e.shorter > e.longer / TEXTURE_PROBES_MAX ? e.shorter : e.longer / TEXTURE_PROBES_MAX;
+    width = width > 1 ? width : 1;
+    uint32_t probes = (uint32_t)(e.longer / width);
+    probes += probes < e.longer / width;
+    if (probes <= 1) {
+        trilinear(t, s, r, width, c);
+        return;
+    }
+    /* From end to end of the ellipse, each as wide as `width`: one that is hardly longer than that
+     * is hardly spread. */
+    double spread = 1 - width / e.longer;
+    c[0] = c[1] = c[2] = c[3] = 0;
+    for (uint32_t i = 0; i < probes; i++) {
+        double probe[4], along = (i / (probes - 1.0) - 0.5) * spread;
+        trilinear(t, s + along * e.x / texels[0], r + along * e.y / texels[1], width, probe);
+        for (int j = 0; j < 4; j++)
+            c[j] += probe[j];
+    }
+    for (int j = 0; j < 4; j++)
+        c[j] /= probes;
+}
+
+/* The wave that is 1 over [0, 1), -1 over [1, 2), and so on, averaged over `width` about x. */
+static double wave_mean(double x, double width)
+{
+    double from = x - width / 2, to = x + width / 2;
+    double first = floor_of(from);
+    if (first == floor_of(to))
+        return first - 2 * floor_of(first / 2) != 0 ? -1 : 1;
+    if (!(width < 1e9))
+        return 0;
+    /* Its integral is a triangle: 0 at even, 1 at odd numbers. */
+    double end[2] = {from, to};
+    for (int k = 0; k < 2; k++)
+        end[k] = 1 - fabs(1 - (end[k] - 2 * floor_of(end[k] / 2)));
+    return (end[1] - end[0]) / width;
+}
+
+/* Over the upright rectangle about the footprint. */
+static rgb checker_mean(const struct texture *t, double s, double r, const double side[2][2])
+{
+    double across = 2 * (fabs(side[0][0]) + fabs(side[1][0]));
+    double down = 2 * (fabs(side[0][1]) + fabs(side[1][1]));
+    double second = 0.5 - 0.5 * wave_mean(2 * s, across) * wave_mean(2 * r, down);
+    return rgb_add(rgb_scale(t->color[0], 1 - second), rgb_scale(t->color[1], second));
+}
+
+rgb texture_filtered(const struct texture *t, double u, double v,
+                     const struct texture_footprint *footprint)
+{
+    if (!footprint || t->filter != SCENE_FILTER_MIPMAP || t->type == SCENE_TEXTURE_CONSTANT)
+        return texture_color(t, u, v);
+    const double *m = t->uv_matrix;
+    double s, r, c[4], side[2][2];
+    map_uv(t, u, v, &s, &r);
+    for (int k = 0; k < 2; k++) {
+        side[k][0] = m[0] * footprint->u[k] + m[1] * footprint->v[k];
+        side[k][1] = m[3] * footprint->u[k] + m[4] * footprint->v[k];
+    }
+    if (t->type == SCENE_TEXTURE_CHECKERBOARD)
+        return checker_mean(t, s, r, side);
+    image_mean(t, s, r, side, c);
+    return factored(t, c);
 }

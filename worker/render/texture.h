@@ -1,8 +1,15 @@
 /* worker/render/texture.h: colours that vary over a surface.
  *
- * Images are looked up bilinearly between texel centres; v = 0 is the bottom row of
- * the picture, as in OBJ. Pixels are borrowed from the render scene's arena. Any
- * thread. Tests: test_surface.
+ * An image is looked up at a point, bilinearly between texel centres or at the nearest one, or
+ * over a footprint: the parallelogram about the point that one sample of the picture stands for.
+ * A footprint is cut along the longer axis of its ellipse into probes as long as the shorter
+ * (Feline: McCormack et al. 1999), each looked up between two levels of a pyramid of averages
+ * (Williams 1983). Footprints below a texel give the bilinear value, bit for bit. A checkerboard
+ * is averaged over a footprint in closed form.
+ *
+ * v = 0 is the bottom row of the picture, as in OBJ. Texels lie in tiles of 4 x 4, so that
+ * neighbours in both directions share cache lines. Everything is borrowed from the render scene's
+ * arena. Any thread. Tests: test_texture, test_surface.
  */
 #ifndef WORKER_RENDER_TEXTURE_H
 #define WORKER_RENDER_TEXTURE_H
@@ -10,23 +17,73 @@
 #include "common/scene.h"
 #include "worker/render/vec.h"
 
-struct texture {
-    enum scene_texture_type type;
-    rgb color[2];
-    double uv_matrix[6];
-    enum scene_wrap wrap[2];
-    uint32_t width, height, channel_count;
-    enum scene_image_format format;
-    const void *pixels;
+enum {
+    TEXTURE_TILE_SHIFT = 2,  /* log2 of a tile's side in texels */
+    TEXTURE_LEVELS_MAX = 16, /* of SCENE_IMAGE_SIDE_MAX, down to one texel */
+    TEXTURE_PROBES_MAX = 8,  /* a longer footprint is widened */
 };
 
-/* The texture at surface coordinates; the matrix is applied here. */
+_Static_assert(SCENE_IMAGE_SIDE_MAX == 1 << (TEXTURE_LEVELS_MAX - 1),
+               "the largest picture has as many levels");
+
+struct texture_level {
+    const void *texels;
+    uint32_t width, height;
+    uint32_t tiles_across;
+    uint8_t tile_shift[2]; /* log2 of a tile's sides: 0 where the level is narrower than a tile */
+};
+
+/* Level 0 is the picture; each next has half its sides, rounded down, to 1 x 1. */
+struct texture_image {
+    enum scene_image_format format;
+    uint32_t channel_count;
+    uint32_t level_count; /* 1: no pyramid */
+    struct texture_level levels[TEXTURE_LEVELS_MAX];
+};
+
+struct texture {
+    enum scene_texture_type type;
+    enum scene_texture_filter filter;
+    rgb color[2]; /* constant, checkerboard; image: [0] is a factor */
+    double uv_matrix[6];
+    enum scene_wrap wrap[2];
+    const struct texture_image *image;
+};
+
+/* What one sample of the picture stands for, as two sides of a parallelogram. */
+struct texture_footprint {
+    double u[2], v[2];
+};
+
+/* Sets all of a level but its texels. */
+void texture_level_init(struct texture_level *l, uint32_t width, uint32_t height);
+
+/* Texels that a level has room for: whole tiles. */
+size_t texture_level_texels(const struct texture_level *l);
+
+/* The place of a texel. x < width, y < height, row 0 at the top. */
+static inline size_t texture_place(const struct texture_level *l, uint32_t x, uint32_t y)
+{
+    unsigned sx = l->tile_shift[0], sy = l->tile_shift[1];
+    size_t tile = (size_t)(y >> sy) * l->tiles_across + (x >> sx);
+    return (tile << (sx + sy)) + ((size_t)(y & ((1u << sy) - 1)) << sx) + (x & ((1u << sx) - 1));
+}
+
+/* One texel, decoded to linear: c[0..2] colour (grey three times), c[3] the fourth channel, 1 when
+ * there is none. */
+void texture_texel(const struct texture_image *image, const struct texture_level *l, uint32_t x,
+                   uint32_t y, double c[4]);
+
+/* The texture at a point of the surface; the matrix is applied here. */
 rgb texture_color(const struct texture *t, double u, double v);
 
-/* Colour and, in *alpha, the fourth channel (1 when there is none). */
-rgb texture_color_alpha(const struct texture *t, double u, double v, double *alpha);
+/* The fourth channel there, at the finest level always: 1 when there is none. */
+double texture_alpha(const struct texture *t, double u, double v);
 
-/* One texel, decoded to linear. x < width, y < height, row 0 at the top. */
-rgb texture_texel(const struct texture *t, uint32_t x, uint32_t y, double *alpha);
+/* The mean over a footprint, if the texture's filter asks for that and there is one (not NULL);
+ * else that at the point. Numbers of any kind are fine: a footprint without end has the mean of
+ * the whole. */
+rgb texture_filtered(const struct texture *t, double u, double v,
+                     const struct texture_footprint *footprint);
 
 #endif

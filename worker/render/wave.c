@@ -48,6 +48,27 @@ void wave_trace(const struct render_scene *scene, struct render_scratch *w)
         pass_rays(scene, w);
 }
 
+struct footprint *wave_arrive(const struct render_scene *scene, struct render_scratch *w,
+                              uint32_t i)
+{
+    if (!scene->has_filtered || w->hits[i].object == SCENE_NONE)
+        return NULL;
+    struct footprint *f = &w->footprints[w->active[i]];
+    footprint_arrive(f, w->paths[w->active[i]].org, &w->rays[i], &w->hits[i]);
+    return f;
+}
+
+void wave_leave(const struct render_scene *scene, const struct shade *at, const struct hit *hit,
+                vec3 dir, vec3 wi, const struct bsdf_sample *sample, struct footprint *f)
+{
+    if (!(sample->flags & BSDF_DELTA))
+        footprint_scatter(wi, sample->pdf, scene->footprint_step, f);
+    else if (sample->flags & BSDF_TRANSMIT)
+        footprint_refract(scene, hit, at->surface.ns, dir, wi, at->bsdf.material->eta, f);
+    else
+        footprint_mirror(scene, hit, at->surface.ns, dir, f);
+}
+
 void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target, bool distant,
                  vec3 wi, rgb radiance)
 {

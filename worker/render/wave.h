@@ -38,7 +38,8 @@ struct path {
 
 struct render_scratch {
     struct path paths[WAVE_PATHS];
-    struct reuse reuse[WAVE_PATHS]; /* of the path of the same number */
+    struct reuse reuse[WAVE_PATHS];          /* of the path of the same number */
+    struct footprint footprints[WAVE_PATHS]; /* and its ray's; only where scene->has_filtered */
     uint32_t path_count;
     uint32_t groups[WAVE_PATHS + 1]; /* the first path of each group, then path_count */
     uint32_t group_count;
@@ -90,6 +91,14 @@ void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target,
 
 /* Casts the shadow rays, adds what arrives, and forgets them. */
 void wave_gather(const struct render_scene *scene, struct render_scratch *w);
+
+/* Moves the footprint of the path of ray i to its hit; NULL where nothing is filtered. */
+struct footprint *wave_arrive(const struct render_scene *scene, struct render_scratch *w,
+                              uint32_t i);
+
+/* Turns it there by a drawn direction: wi as wave_continue gets it, as `sample` drew it. */
+void wave_leave(const struct render_scene *scene, const struct shade *at, const struct hit *hit,
+                vec3 dir, vec3 wi, const struct bsdf_sample *sample, struct footprint *f);
 
 /* Sets ray `slot` of the next round, slot <= the index being read. */
 static inline void wave_continue(struct render_scratch *w, uint32_t slot, uint32_t path, vec3 org,

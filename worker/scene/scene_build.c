@@ -67,6 +67,7 @@ static void aim(struct render_scene *rs)
     camera_init(&rs->camera, &rs->scene_camera, rs->spec.width, rs->spec.height, rs->center,
                 rs->scale);
     film_filter_init(&rs->filter, &rs->spec);
+    rs->footprint_step = footprint_step(&rs->spec);
 }
 
 /* True if scene_build would make the same tables and the same tree: what it reads of the spec but

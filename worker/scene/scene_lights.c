@@ -223,9 +223,9 @@ static enum err tabulate_sky(struct render_scene *rs, struct environment *sky)
 {
     size_t width = SKY_WIDTH_PATTERN, height = SKY_WIDTH_PATTERN / 2;
     if (sky->texture->type == SCENE_TEXTURE_IMAGE) {
-        width = sky->texture->width < SKY_WIDTH_MAX ? sky->texture->width : SKY_WIDTH_MAX;
-        height =
-            sky->texture->height < SKY_WIDTH_MAX / 2 ? sky->texture->height : SKY_WIDTH_MAX / 2;
+        const struct texture_level *finest = &sky->texture->image->levels[0];
+        width = finest->width < SKY_WIDTH_MAX ? finest->width : SKY_WIDTH_MAX;
+        height = finest->height < SKY_WIDTH_MAX / 2 ? finest->height : SKY_WIDTH_MAX / 2;
     }
     double *weights = mem_alloc_array(width * height, sizeof *weights);
     if (!weights)

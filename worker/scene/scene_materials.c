@@ -10,44 +10,16 @@ static const double SHEEN_ALPHA_MIN = 1e-2;
 /* Facets smoother than this are a mirror to any light, and densities stay far from overflow. */
 static const double ALPHA_MIN = 1e-4;
 
-static size_t image_bytes(const struct scene_image *image)
-{
-    size_t sample = image->format == SCENE_IMAGE_F32 ? sizeof(float) : 1;
-    return (size_t)image->width * image->height * image->channel_count * sample;
-}
-
-/* Copies the images that some texture uses; pixels[i] stays NULL for the others. */
-static enum err copy_images(struct render_scene *rs, const struct scene *scene, const void **pixels)
-{
-    for (size_t i = 0; i < scene->texture_count; i++) {
-        uint32_t index = scene->textures[i].image;
-        if (index == SCENE_NONE || pixels[index])
-            continue;
-        const struct scene_image *image = &scene->images[index];
-        void *copy = arena_alloc(&rs->arena, image_bytes(image), 1);
-        if (!copy)
-            return ERR_NOMEM;
-        memcpy(copy, image->pixels, image_bytes(image));
-        pixels[index] = copy;
-    }
-    return ERR_OK;
-}
-
-static void make_texture(const struct scene *scene, const struct scene_texture *from,
-                         const void *const *pixels, struct texture *out)
+static void make_texture(const struct scene_texture *from, const struct texture_image *images,
+                         struct texture *out)
 {
     *out = (struct texture){.type = from->type,
+                            .filter = from->filter,
                             .color = {rgb_of(from->color[0]), rgb_of(from->color[1])},
                             .wrap = {from->wrap[0], from->wrap[1]}};
     memcpy(out->uv_matrix, from->uv_matrix, sizeof out->uv_matrix);
-    if (from->type != SCENE_TEXTURE_IMAGE)
-        return;
-    const struct scene_image *image = &scene->images[from->image];
-    out->width = image->width;
-    out->height = image->height;
-    out->channel_count = image->channel_count;
-    out->format = image->format;
-    out->pixels = pixels[from->image];
+    if (from->type == SCENE_TEXTURE_IMAGE)
+        out->image = &images[from->image];
 }
 
 /* A constant texture becomes the material's colour, so that nothing is looked up per hit. */
@@ -131,39 +103,53 @@ static void make_material(const struct scene *scene, const struct scene_material
                     from->emission_texture != SCENE_NONE;
 }
 
+/* True if a lookup over a footprint may differ from one at a point. */
+static bool is_filtered(const struct render_scene *rs, uint32_t texture)
+{
+    return texture != SCENE_NONE && rs->textures[texture].filter == SCENE_FILTER_MIPMAP &&
+           rs->textures[texture].type != SCENE_TEXTURE_CONSTANT;
+}
+
+static void make_materials(struct render_scene *rs, const struct scene *scene)
+{
+    bool shows_uv = aov_has(rs->spec.aov, AOV_UV);
+    for (size_t i = 0; i < scene->material_count; i++) {
+        const struct scene_material *from = &scene->materials[i];
+        struct material *m = &rs->materials[i];
+        make_material(scene, from, m);
+        m->number = from->number == SCENE_NONE ? (uint32_t)i : from->number;
+        m->needs_uv |= shows_uv;
+        m->filtered = is_filtered(rs, m->texture) || is_filtered(rs, from->emission_texture) ||
+                      is_filtered(rs, m->metallic_roughness_texture) ||
+                      is_filtered(rs, m->transmission_texture) ||
+                      is_filtered(rs, m->normal_texture);
+    }
+    rs->materials[scene->material_count] = (struct material){.type = SCENE_MATERIAL_BLACK,
+                                                             .texture = SCENE_NONE,
+                                                             .normal_texture = SCENE_NONE,
+                                                             .needs_uv = shows_uv,
+                                                             .is_delta = true};
+}
+
 enum err scene_build_materials(struct render_scene *rs, const struct scene *scene)
 {
-    const void **pixels = mem_calloc(scene->image_count, sizeof *pixels);
+    struct texture_image *images;
+    TL_TRY(scene_build_images(rs, scene, &images));
+    rs->texture_count = scene->texture_count;
     rs->textures = arena_alloc(&rs->arena, scene->texture_count, sizeof *rs->textures);
-    rs->materials = arena_alloc(&rs->arena, scene->material_count + 1, sizeof *rs->materials);
-    enum err e = pixels && rs->textures && rs->materials ? ERR_OK : ERR_NOMEM;
-    if (e == ERR_OK)
-        e = copy_images(rs, scene, pixels);
-    if (e == ERR_OK) {
-        rs->texture_count = scene->texture_count;
-        for (size_t i = 0; i < scene->texture_count; i++)
-            make_texture(scene, &scene->textures[i], pixels, &rs->textures[i]);
-        rs->material_count = scene->material_count + 1;
-        for (size_t i = 0; i < scene->material_count; i++)
-            make_material(scene, &scene->materials[i], &rs->materials[i]);
-        for (size_t i = 0; i < scene->material_count; i++) {
-            uint32_t number = scene->materials[i].number;
-            rs->materials[i].number = number == SCENE_NONE ? (uint32_t)i : number;
-        }
-        for (size_t i = 0; i < scene->material_count; i++)
-            rs->materials[i].needs_uv |= aov_has(rs->spec.aov, AOV_UV);
-        for (size_t i = 0; i < scene->object_count; i++) {
-            uint32_t material = scene->objects[i].material;
-            rs->has_alpha |= material != SCENE_NONE && rs->materials[material].has_alpha &&
-                             !scene_object_is_nothing(scene, &scene->objects[i]);
-        }
-        rs->materials[scene->material_count] =
-            (struct material){.type = SCENE_MATERIAL_BLACK,
-                              .texture = SCENE_NONE,
-                              .normal_texture = SCENE_NONE,
-                              .needs_uv = aov_has(rs->spec.aov, AOV_UV),
-                              .is_delta = true};
+    rs->material_count = scene->material_count + 1;
+    rs->materials = arena_alloc(&rs->arena, rs->material_count, sizeof *rs->materials);
+    if (!rs->textures || !rs->materials)
+        return ERR_NOMEM;
+    for (size_t i = 0; i < scene->texture_count; i++)
+        make_texture(&scene->textures[i], images, &rs->textures[i]);
+    make_materials(rs, scene);
+    for (size_t i = 0; i < scene->object_count; i++) {
+        uint32_t material = scene->objects[i].material;
+        if (material == SCENE_NONE || scene_object_is_nothing(scene, &scene->objects[i]))
+            continue;
+        rs->has_alpha |= rs->materials[material].has_alpha;
+        rs->has_filtered |= rs->materials[material].filtered;
     }
-    mem_free(pixels);
-    return e;
+    return ERR_OK;
 }

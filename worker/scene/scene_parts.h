@@ -10,6 +10,11 @@
 /* Centre, scale, meshes, objects. ERR_LIMIT for an extent beyond double. */
 TL_NODISCARD enum err scene_build_geometry(struct render_scene *rs, const struct scene *scene);
 
+/* The images that textures use, as the tracing core reads them: one for each of the scene's; of
+ * those unused nothing is set. */
+TL_NODISCARD enum err scene_build_images(struct render_scene *rs, const struct scene *scene,
+                                         struct texture_image **out);
+
 /* Textures and materials. */
 TL_NODISCARD enum err scene_build_materials(struct render_scene *rs, const struct scene *scene);
 

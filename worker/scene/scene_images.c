@@ -1,0 +1,239 @@
+/* Images of a scene to what shading reads: tiled copies, and pyramids of averages where a texture
+ * is filtered. Memory is the scene's arena. One thread. */
+#include "worker/scene/scene_parts.h"
+
+#include <string.h>
+
+#include "common/scene_plan.h"
+#include "worker/render/srgb_table.h"
+
+/* What the objects of a scene need of one image. */
+struct image_use {
+    bool used, pyramid;
+    bool weighed; /* its colours count by their opacity */
+};
+
+/* --- Texels ---------------------------------------------------------------- */
+
+static size_t sample_bytes(enum scene_image_format format)
+{
+    return format == SCENE_IMAGE_F32 ? sizeof(float) : 1;
+}
+
+/* The code whose light is nearest, the lower of two. */
+static unsigned char srgb_code(double light)
+{
+    unsigned low = 0, high = 255;
+    while (low < high) {
+        unsigned middle = (low + high) / 2;
+        if (light - srgb_table[middle] <= srgb_table[middle + 1] - light)
+            high = middle;
+        else
+            low = middle + 1;
+    }
+    return (unsigned char)low;
+}
+
+static void put_texel(const struct texture_image *image, void *texels, size_t place,
+                      const float *linear)
+{
+    uint32_t count = image->channel_count;
+    for (uint32_t k = 0; k < count; k++) {
+        double v = (double)linear[k];
+        unsigned char *byte = (unsigned char *)texels + place * count + k;
+        if (image->format == SCENE_IMAGE_F32)
+            ((float *)texels)[place * count + k] = linear[k];
+        else if (image->format == SCENE_IMAGE_U8_SRGB && k < 3)
+            *byte = srgb_code(v);
+        else
+            *byte = (unsigned char)(v * 255 + 0.5);
+    }
+}
+
+/* --- Averages -------------------------------------------------------------- */
+
+/* A level in linear light, row by row. */
+struct plane {
+    uint32_t width, height;
+    float *samples;
+};
+
+/* What of a row or column of `from` falls into place i of `to` < from: at most three neighbours,
+ * by the share of each that lies in it. Every sample is shared out whole, so means stay. */
+struct share {
+    uint32_t first, count;
+    double weight[3];
+};
+
+static struct share share_of(uint32_t i, uint32_t from, uint32_t to)
+{
+    if (from == to)
+        return (struct share){i, 1, {1}};
+    struct share s = {.first = 2 * i, .count = 2, .weight = {0.5, 0.5}};
+    if (from % 2 == 0)
+        return s;
+    s.count = 3;
+    s.weight[0] = (double)(to - i) / from;
+    s.weight[1] = (double)to / from;
+    s.weight[2] = (double)(i + 1) / from;
+    return s;
+}
+
+/* Where a level above comes from: the picture itself, or floats. */
+struct source {
+    const struct texture_image *image;
+    const struct plane *plane; /* NULL: level 0 of the image */
+};
+
+static void source_sample(const struct source *s, uint32_t x, uint32_t y, double c[4])
+{
+    if (!s->plane) {
+        texture_texel(s->image, &s->image->levels[0], x, y, c);
+        return;
+    }
+    uint32_t count = s->image->channel_count;
+    const float *p = s->plane->samples + ((size_t)y * s->plane->width + x) * count;
+    c[3] = 1;
+    for (uint32_t k = 0; k < count; k++)
+        c[k] = (double)p[k];
+}
+
+/* One sample of the next level. Weighed, a colour counts as much as can be seen of it; where
+ * nothing can, all count the same. */
+static void average(const struct source *from, struct share across, struct share down, bool weighed,
+                    float *out)
+{
+    double plain[4] = {0}, seen[3] = {0}, opacity = 0, whole = 0;
+    for (uint32_t j = 0; j < down.count; j++) {
+        for (uint32_t i = 0; i < across.count; i++) {
+            double c[4], w = across.weight[i] * down.weight[j];
+            source_sample(from, across.first + i, down.first + j, c);
+            for (int k = 0; k < 4; k++)
+                plain[k] += c[k] * w;
+            for (int k = 0; k < 3; k++)
+                seen[k] += c[k] * w * c[3];
+            opacity += w * c[3];
+            whole += w;
+        }
+    }
+    /* All opaque is the plain mean, bit for bit. */
+    bool by_opacity = weighed && opacity > 0 && opacity < whole;
+    for (uint32_t k = 0; k < from->image->channel_count; k++)
+        out[k] = (float)(by_opacity && k < 3 ? seen[k] / opacity : plain[k]);
+}
+
+static enum err add_level(struct render_scene *rs, struct texture_image *image,
+                          const struct plane *above, bool weighed, struct plane *out)
+{
+    const struct texture_level *last = &image->levels[image->level_count - 1];
+    struct texture_level *level = &image->levels[image->level_count];
+    uint32_t channels = image->channel_count;
+    uint32_t width = last->width > 1 ? last->width / 2 : 1;
+    uint32_t height = last->height > 1 ? last->height / 2 : 1;
+    texture_level_init(level, width, height);
+    size_t bytes = sample_bytes(image->format) * channels;
+    void *texels = arena_alloc(&rs->arena, texture_level_texels(level), bytes);
+    *out = (struct plane){width, height,
+                          mem_alloc_array((size_t)width * height * channels, sizeof(float))};
+    if (!texels || !out->samples)
+        return ERR_NOMEM;
+    struct source from = {image, above->samples ? above : NULL};
+    for (uint32_t y = 0; y < height; y++) {
+        struct share down = share_of(y, last->height, height);
+        for (uint32_t x = 0; x < width; x++) {
+            float *at = out->samples + ((size_t)y * width + x) * channels;
+            average(&from, share_of(x, last->width, width), down, weighed, at);
+            put_texel(image, texels, texture_place(level, x, y), at);
+        }
+    }
+    level->texels = texels;
+    image->level_count++;
+    return ERR_OK;
+}
+
+/* Each level comes from the one above before that was rounded to the picture's format. */
+static enum err add_pyramid(struct render_scene *rs, struct texture_image *image, bool weighed)
+{
+    struct plane above = {0};
+    enum err e = ERR_OK;
+    while (e == ERR_OK) {
+        const struct texture_level *last = &image->levels[image->level_count - 1];
+        if (last->width == 1 && last->height == 1)
+            break;
+        struct plane next;
+        e = add_level(rs, image, &above, weighed, &next);
+        mem_free(above.samples);
+        above = next;
+    }
+    mem_free(above.samples);
+    return e;
+}
+
+/* --- Images ---------------------------------------------------------------- */
+
+static enum err copy_tiled(struct render_scene *rs, const struct scene_image *from,
+                           struct texture_image *out)
+{
+    size_t bytes = sample_bytes(from->format) * from->channel_count;
+    *out = (struct texture_image){
+        .format = from->format, .channel_count = from->channel_count, .level_count = 1};
+    struct texture_level *level = &out->levels[0];
+    texture_level_init(level, from->width, from->height);
+    unsigned char *texels = arena_alloc(&rs->arena, texture_level_texels(level), bytes);
+    if (!texels)
+        return ERR_NOMEM;
+    const unsigned char *row = from->pixels;
+    for (uint32_t y = 0; y < from->height; y++, row += from->width * bytes)
+        for (uint32_t x = 0; x < from->width; x++)
+            memcpy(texels + texture_place(level, x, y) * bytes, row + x * bytes, bytes);
+    level->texels = texels;
+    return ERR_OK;
+}
+
+static void mark(const struct scene *scene, uint32_t texture, bool weighed, struct image_use *uses)
+{
+    if (texture == SCENE_NONE || scene->textures[texture].type != SCENE_TEXTURE_IMAGE)
+        return;
+    const struct scene_texture *t = &scene->textures[texture];
+    uses[t->image].pyramid |= t->filter == SCENE_FILTER_MIPMAP;
+    uses[t->image].weighed |= weighed;
+}
+
+/* What is looked up where light scatters; opacity and the sky are looked up at points. */
+static void mark_uses(const struct scene *scene, struct image_use *uses)
+{
+    for (size_t i = 0; i < scene->texture_count; i++)
+        if (scene->textures[i].type == SCENE_TEXTURE_IMAGE)
+            uses[scene->textures[i].image].used = true;
+    for (size_t i = 0; i < scene->object_count; i++) {
+        const struct scene_object *o = &scene->objects[i];
+        if (o->material == SCENE_NONE || scene_object_is_nothing(scene, o))
+            continue;
+        struct scene_material m = scene_plan_material(&scene->materials[o->material], true);
+        mark(scene, m.texture, m.alpha_used, uses);
+        mark(scene, m.metallic_roughness_texture, false, uses);
+        mark(scene, m.transmission_texture, false, uses);
+        mark(scene, m.emission_texture, false, uses);
+        mark(scene, m.normal_texture, false, uses);
+    }
+}
+
+enum err scene_build_images(struct render_scene *rs, const struct scene *scene,
+                            struct texture_image **out)
+{
+    struct image_use *uses = mem_calloc(scene->image_count, sizeof *uses);
+    struct texture_image *images = arena_alloc(&rs->arena, scene->image_count, sizeof *images);
+    enum err e = uses && images ? ERR_OK : ERR_NOMEM;
+    if (e == ERR_OK)
+        mark_uses(scene, uses);
+    for (size_t i = 0; e == ERR_OK && i < scene->image_count; i++) {
+        if (!uses[i].used)
+            continue;
+        e = copy_tiled(rs, &scene->images[i], &images[i]);
+        if (e == ERR_OK && uses[i].pyramid)
+            e = add_pyramid(rs, &images[i], uses[i].weighed);
+    }
+    mem_free(uses);
+    *out = images;
+    return e;
+}
