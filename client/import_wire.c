@@ -159,7 +159,8 @@ static void get_picture(struct buf_reader *in, struct import_picture *p)
 static enum err get_pictures(struct buf_reader *in, struct import_message *m)
 {
     uint32_t count = buf_get_u32(in);
-    if (in->failed || count > IMPORT_WIRE_PICTURES_MAX)
+    TL_TRY(buf_reader_status(in));
+    if (count > IMPORT_WIRE_PICTURES_MAX)
         return ERR_CORRUPT;
     for (uint32_t i = 0; i < count && !in->failed; i++) {
         if (!mem_grow((void **)&m->pictures, m->count, &m->capacity, sizeof *m->pictures))
@@ -167,7 +168,7 @@ static enum err get_pictures(struct buf_reader *in, struct import_message *m)
         m->pictures[m->count] = (struct import_picture){0};
         get_picture(in, &m->pictures[m->count++]);
     }
-    return in->failed ? ERR_CORRUPT : ERR_OK;
+    return buf_reader_status(in);
 }
 
 /* The chunks that arrived, sorted by name; the root, which comes first, apart. */

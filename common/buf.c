@@ -184,8 +184,16 @@ char *buf_get_text(struct buf_reader *r, size_t bytes_max)
 {
     uint32_t bytes = buf_get_u32(r);
     const unsigned char *at = bytes <= bytes_max ? buf_get(r, bytes) : NULL;
-    char *text = at && !memchr(at, 0, bytes) ? mem_strndup((const char *)at, bytes) : NULL;
-    if (!text)
-        r->failed = true;
+    bool good = at && !memchr(at, 0, bytes);
+    char *text = good ? mem_strndup((const char *)at, bytes) : NULL;
+    r->no_memory |= good && !text;
+    r->failed |= !text;
     return text;
+}
+
+enum err buf_reader_status(const struct buf_reader *r)
+{
+    if (r->no_memory)
+        return ERR_NOMEM;
+    return r->failed ? ERR_CORRUPT : ERR_OK;
 }

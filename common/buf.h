@@ -37,6 +37,7 @@ TL_NODISCARD enum err buf_status(const struct buf *b);
 struct buf_reader {
     const unsigned char *at, *end;
     bool failed;
+    bool no_memory; /* that was why, not the bytes */
 };
 
 struct buf_reader buf_reader_of(const void *data, size_t bytes);
@@ -53,5 +54,8 @@ double buf_get_f64(struct buf_reader *r);
 /* A text written by buf_put_text, at most `bytes_max` long, without NUL bytes;
  * you own it. NULL: failed (short, too long, NUL inside, out of memory). */
 TL_NODISCARD char *buf_get_text(struct buf_reader *r, size_t bytes_max);
+
+/* What is wrong: ERR_NOMEM, or ERR_CORRUPT; ERR_OK. */
+TL_NODISCARD enum err buf_reader_status(const struct buf_reader *r);
 
 #endif

@@ -60,6 +60,8 @@ void codec_name(struct codec *c, char **text)
         buf_put_text(c->out, *text);
     else
         *text = buf_get_text(c->in, SCENE_NAME_BYTES_MAX);
+    if (c->in && c->in->no_memory)
+        codec_fail(c, ERR_NOMEM); /* before the missing rest is called damage */
 }
 
 void codec_table(struct codec *c, void **items, size_t *count, size_t count_max, size_t item_bytes,
@@ -103,7 +105,8 @@ enum err codec_end(const struct codec *c)
         return c->error;
     if (c->out)
         return buf_status(c->out);
-    return c->in->failed || buf_left(c->in) ? ERR_CORRUPT : ERR_OK;
+    TL_TRY(buf_reader_status(c->in));
+    return buf_left(c->in) ? ERR_CORRUPT : ERR_OK;
 }
 
 /* --- Tables -------------------------------------------------------------- */
