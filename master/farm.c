@@ -323,8 +323,11 @@ static void start_handles(struct farm *f)
 
 enum err farm_start(struct farm *f, uv_loop_t *loop, const struct farm_options *o)
 {
-    *f = (struct farm){
-        .loop = loop, .token = o->token, .tls = o->tls, .retention_s = o->retention_s};
+    *f = (struct farm){.loop = loop,
+                       .token = o->token,
+                       .tls = o->tls,
+                       .retention_s = o->retention_s,
+                       .started_ms = uv_now(loop)};
     enum err e = store_open(o->data_dir, &f->store);
     if (e != ERR_OK) {
         log_error("master", "cannot use data folder=%s error=\"%s\"", o->data_dir,

@@ -149,6 +149,7 @@ struct farm {
     struct worker_past *pasts; /* of workers that lied or were set aside, ever */
     size_t past_count, past_capacity;
 
+    uint64_t started_ms;  /* of the loop's clock */
     uint64_t id;          /* random per data directory */
     uint64_t epoch_limit; /* on disk: no epoch reaches it */
     bool determinism_known;

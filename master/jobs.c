@@ -21,6 +21,7 @@
 enum {
     JOBS_IN_SCHED_MAX = 1000, /* below the scheduler's job_count_max */
     NEWS_MS = 500,            /* between two events of the same job that are not urgent */
+    RETURN_MS = 600,          /* workers find a new master within 500 ms */
     KEYS_MAX = 10000,
     SPEC_BYTES_MAX = sizeof((tilery_JobInfo *)0)->spec_json.bytes,
 };
@@ -406,6 +407,15 @@ static void add_plan(const struct job *job, uint64_t weights[JOB_BLOCKS_MAX],
     add->cell_cost = (double)job->spec.crop.width * job->spec.crop.height / job->grid.cell_count;
 }
 
+/* How long a job that an earlier life of the master had begun waits for its workers. */
+static uint32_t quiet_ms(const struct farm *f, const struct job *job)
+{
+    uint64_t age_ms = uv_now(f->loop) - f->started_ms;
+    return job->rec.state == JOB_STATE_RENDERING && age_ms < RETURN_MS
+               ? (uint32_t)(RETURN_MS - age_ms)
+               : 0;
+}
+
 static enum err admit(struct farm *f, struct job *job)
 {
     struct done_list done = {0};
@@ -431,6 +441,7 @@ static enum err admit(struct farm *f, struct job *job)
                     .verify_share = job->spec.verify,
                     .priority = job->rec.priority,
                     .paused = job->rec.state == JOB_STATE_PAUSED,
+                    .quiet_ms = quiet_ms(f, job),
                     .memory = job->sched_memory,
                     .done = done.items,
                     .done_count = done.count,

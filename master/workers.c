@@ -392,6 +392,30 @@ static void fill_worker(struct worker *w, const tilery_Hello *h)
     w->joined_us = farm_wall_us();
 }
 
+/* Tells the scheduler that it is here, and which leases of this farm it has brought along. */
+static void join(struct farm *f, const struct worker *w, const tilery_Hello *h)
+{
+    static const enum sched_held_state states[] = {
+        [tilery_HELD_WAITING] = SCHED_HELD_WAITING,
+        [tilery_HELD_BEGUN] = SCHED_HELD_BEGUN,
+        [tilery_HELD_RESULT] = SCHED_HELD_RESULT,
+    };
+    struct sched_held held[LIMIT_HELD_TOLD];
+    size_t count = h->last_farm == f->id ? h->held_count : 0;
+    for (size_t i = 0; i < count; i++) {
+        const tilery_Held *from = &h->held[i];
+        held[i] = (struct sched_held){.job = from->job,
+                                      .epoch = from->epoch,
+                                      .unit = {from->cell_begin, from->cell_count, from->block},
+                                      .state = states[from->state]};
+    }
+    struct sched_event event = {
+        .type = SCHED_WORKER_JOIN,
+        .worker = w->id,
+        .join = {.threads = w->threads, .held = held, .held_count = count}};
+    farm_feed(f, &event);
+}
+
 static void detach(struct farm *f, struct worker *w, enum err why);
 
 static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
@@ -429,11 +453,11 @@ static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
     m.welcome.farm = f->id;
     (void)snprintf(m.welcome.worker_id, sizeof m.welcome.worker_id, "w%" PRIu64, w->id);
     send_to(w, &m, NULL);
-    log_info("workers", "joined id=w%" PRIu64 " name=%s host=%s threads=%" PRIu32 " peer=%s", w->id,
-             w->name, w->host, w->threads, conn_peer(c));
+    log_info("workers",
+             "joined id=w%" PRIu64 " name=%s host=%s threads=%" PRIu32 " peer=%s held=%u", w->id,
+             w->name, w->host, w->threads, conn_peer(c), (unsigned)h->held_count);
     verify_tell_past(f, w->id);
-    struct sched_event event = {.type = SCHED_WORKER_JOIN, .worker = w->id, .threads = w->threads};
-    farm_feed(f, &event);
+    join(f, w, h);
     char line[160];
     (void)snprintf(line, sizeof line, "w%" PRIu64 " (%s) joined, %" PRIu32 " thread%s", w->id,
                    w->name, w->threads, w->threads == 1 ? "" : "s");

@@ -16,6 +16,7 @@ enum {
     LIMIT_THREADS = 4096, /* a worker may say it has */
     LIMIT_TAGS = 8,
     LIMIT_HELD = 2,                 /* leases a worker holds beyond its threads */
+    LIMIT_HELD_TOLD = 256,          /* leases and results that a Hello tells of */
     LIMIT_HEARTBEAT_MS = 60 * 1000, /* longest interval a Welcome may ask for */
     LIMIT_MISSED_HEARTBEATS = 3,    /* silence, in intervals, after which a peer is lost */
 

@@ -28,6 +28,10 @@ _Static_assert(sizeof((struct message *)0)->hello.tags /
                        sizeof *((struct message *)0)->hello.tags ==
                    LIMIT_TAGS,
                "tilery.options and limits.h agree");
+_Static_assert(sizeof((struct message *)0)->hello.held /
+                       sizeof *((struct message *)0)->hello.held ==
+                   LIMIT_HELD_TOLD,
+               "tilery.options and limits.h agree");
 
 /* --- UTF-8 -------------------------------------------------------------------- */
 
@@ -141,6 +145,13 @@ static const char *check_hello(const tilery_Hello *h)
         return "protocol versions out of order";
     if (h->threads == 0 || h->threads > LIMIT_THREADS)
         return "a thread count out of range";
+    for (size_t i = 0; i < h->held_count; i++) {
+        const char *problem = check_run(h->held[i].cell_begin, h->held[i].cell_count);
+        if (problem)
+            return problem;
+        if (h->held[i].state > tilery_HELD_RESULT) /* an open enumeration on the wire */
+            return "a held lease in no known state";
+    }
     return h->name[0] == '\0' ? "a worker without a name" : NULL;
 }
 

@@ -24,7 +24,7 @@ struct message {
 };
 
 /* No encoded message is longer. */
-enum { MESSAGE_BYTES_MAX = 4608 };
+enum { MESSAGE_BYTES_MAX = 12800 };
 
 /* Writes the message's meta bytes. ERR_LIMIT: a text without its NUL, a count over its maximum,
  * or a message that message_check would refuse; nothing of use was written. */

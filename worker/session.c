@@ -85,6 +85,7 @@ static void say_hello(struct session *s)
     h->instance = s->instance;
     MESSAGE_TEXT(h->last_id, s->id);
     h->last_farm = s->farm;
+    h->held_count = (pb_size_t)work_held(s->work, h->held);
     enum err e = conn_send(s->conn, &m, NULL);
     if (e != ERR_OK)
         conn_close(s->conn, e);

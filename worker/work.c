@@ -34,7 +34,7 @@ struct lease {
 };
 
 struct result {
-    struct message message;
+    tilery_Result meta;
     struct blob *body;
     bool sent; /* on this connection */
     TAILQ_ENTRY(result) in_results;
@@ -51,6 +51,9 @@ struct work {
     uint32_t result_count;
     uint64_t result_bytes;
     bool connected, draining;
+    /* What the last Hello said it holds: a lease among it that has gone since is told of. */
+    tilery_Held told[LIMIT_HELD_TOLD];
+    uint32_t told_count;
 };
 
 /* --- Results ------------------------------------------------------------------------ */
@@ -73,7 +76,8 @@ void work_flush(struct work *w)
     {
         if (r->sent)
             continue;
-        if (w->options.outlet.send(w->options.outlet.ctx, &r->message, r->body) != ERR_OK)
+        struct message m = {.type = FRAME_RESULT, .result = r->meta};
+        if (w->options.outlet.send(w->options.outlet.ctx, &m, r->body) != ERR_OK)
             return;
         r->sent = true;
     }
@@ -88,7 +92,7 @@ static void say_unit_failed(struct work *w, uint64_t job, uint64_t epoch, enum e
     MESSAGE_TEXT(m.unit_failed.error, err_name(error));
     MESSAGE_TEXT(m.unit_failed.text, text);
     enum err ignored = w->options.outlet.send(w->options.outlet.ctx, &m, NULL);
-    (void)ignored; /* without a connection the lease is void anyway */
+    (void)ignored; /* without a connection it is told when there is one, by told_gone */
 }
 
 static bool keep_result(struct work *w, struct lease *lease)
@@ -98,19 +102,18 @@ static bool keep_result(struct work *w, struct lease *lease)
         return false;
     const struct render_counters *c = &lease->counters;
     bool black = c->nonfinite > 0;
-    r->message = (struct message){.type = FRAME_RESULT,
-                                  .result = {.job = lease->job->id,
-                                             .cell_begin = lease->unit.cell_begin,
-                                             .cell_count = lease->unit.cell_count,
-                                             .block = lease->unit.block,
-                                             .epoch = lease->epoch,
-                                             .samples = c->samples,
-                                             .rays = c->rays,
-                                             .nonfinite = c->nonfinite,
-                                             .nonfinite_pixel = black ? c->nonfinite_pixel : 0,
-                                             .nonfinite_sample = black ? c->nonfinite_sample : 0,
-                                             .render_us = lease->render_us,
-                                             .raw_bytes = lease->raw_bytes}};
+    r->meta = (tilery_Result){.job = lease->job->id,
+                              .cell_begin = lease->unit.cell_begin,
+                              .cell_count = lease->unit.cell_count,
+                              .block = lease->unit.block,
+                              .epoch = lease->epoch,
+                              .samples = c->samples,
+                              .rays = c->rays,
+                              .nonfinite = c->nonfinite,
+                              .nonfinite_pixel = black ? c->nonfinite_pixel : 0,
+                              .nonfinite_sample = black ? c->nonfinite_sample : 0,
+                              .render_us = lease->render_us,
+                              .raw_bytes = lease->raw_bytes};
     r->body = blob_ref(lease->body);
     TAILQ_INSERT_TAIL(&w->results, r, in_results);
     w->result_count++;
@@ -191,10 +194,11 @@ static void done_unit(struct pool_task *task)
     w->options.settled(w->options.ctx);
 }
 
-/* Hands over every lease whose scene is ready, unless too many results wait for the master. */
+/* Hands over every lease whose scene is ready, unless too many results wait for the master, or
+ * there is none, who may have given it to others. */
 static void feed_pool(struct work *w)
 {
-    if (w->result_bytes > RESULT_BYTES_MAX)
+    if (w->result_bytes > RESULT_BYTES_MAX || !w->connected)
         return;
     struct lease *lease;
     TAILQ_FOREACH(lease, &w->leases, in_leases)
@@ -234,7 +238,7 @@ static void drop_results(struct work *w, const uint64_t *job)
     struct result *r, *next;
     for (r = TAILQ_FIRST(&w->results); r; r = next) {
         next = TAILQ_NEXT(r, in_results);
-        if (!job || r->message.result.job == *job)
+        if (!job || r->meta.job == *job)
             free_result(w, r);
     }
 }
@@ -286,7 +290,7 @@ static void on_revoke(struct work *w, const tilery_Revoke *m)
         drop(lease, true);
     struct result *r;
     TAILQ_FOREACH(r, &w->results, in_results)
-    if (r->message.result.epoch == m->epoch)
+    if (r->meta.epoch == m->epoch)
         break;
     if (r)
         free_result(w, r);
@@ -297,7 +301,7 @@ static void on_ack(struct work *w, const tilery_ResultAck *m)
 {
     struct result *r;
     TAILQ_FOREACH(r, &w->results, in_results)
-    if (r->message.result.epoch == m->epoch && r->message.result.job == m->job)
+    if (r->meta.epoch == m->epoch && r->meta.job == m->job)
         break;
     if (r)
         free_result(w, r);
@@ -383,6 +387,67 @@ enum err work_message(struct work *w, const struct message *m, unsigned char *bo
 
 /* --- Connections -------------------------------------------------------------------- */
 
+static bool tell_held(struct work *w, uint64_t job, struct unit unit, uint64_t epoch,
+                      tilery_HeldState state)
+{
+    if (w->told_count == LIMIT_HELD_TOLD)
+        return false;
+    w->told[w->told_count++] = (tilery_Held){.job = job,
+                                             .cell_begin = unit.cell_begin,
+                                             .cell_count = unit.cell_count,
+                                             .block = unit.block,
+                                             .epoch = epoch,
+                                             .state = state};
+    return true;
+}
+
+uint32_t work_held(struct work *w, tilery_Held held[LIMIT_HELD_TOLD])
+{
+    w->told_count = 0;
+    struct result *r;
+    TAILQ_FOREACH(r, &w->results, in_results)
+    {
+        struct unit unit = {r->meta.cell_begin, r->meta.cell_count, r->meta.block};
+        (void)tell_held(w, r->meta.job, unit, r->meta.epoch, tilery_HELD_RESULT);
+    }
+    struct lease *lease, *next;
+    TAILQ_FOREACH(lease, &w->leases, in_leases)
+    if (lease->state == LEASE_POOLED && !lease->unwanted)
+        (void)tell_held(w, lease->job->id, lease->unit, lease->epoch, tilery_HELD_BEGUN);
+    for (lease = TAILQ_FIRST(&w->leases); lease; lease = next) {
+        next = TAILQ_NEXT(lease, in_leases);
+        if (lease->state == LEASE_WAITING &&
+            !tell_held(w, lease->job->id, lease->unit, lease->epoch, tilery_HELD_WAITING))
+            free_lease(lease); /* the master cannot know of it */
+    }
+    for (uint32_t i = 0; i < w->told_count; i++)
+        held[i] = w->told[i];
+    return w->told_count;
+}
+
+static bool holds(const struct work *w, uint64_t epoch)
+{
+    const struct lease *lease;
+    TAILQ_FOREACH(lease, &w->leases, in_leases)
+    if (lease->epoch == epoch && !lease->unwanted)
+        return true;
+    const struct result *r;
+    TAILQ_FOREACH(r, &w->results, in_results)
+    if (r->meta.epoch == epoch)
+        return true;
+    return false;
+}
+
+/* What has failed or was dropped between Hello and Welcome must not be waited for. */
+static void told_gone(struct work *w)
+{
+    for (uint32_t i = 0; i < w->told_count; i++)
+        if (!holds(w, w->told[i].epoch))
+            say_unit_failed(w, w->told[i].job, w->told[i].epoch, ERR_CANCELLED,
+                            "given up while there was no connection");
+    w->told_count = 0;
+}
+
 void work_connected(struct work *w, bool same_farm)
 {
     w->connected = true;
@@ -390,24 +455,41 @@ void work_connected(struct work *w, bool same_farm)
         drop_all(w, NULL, true);
         drop_results(w, NULL);
         job_table_forget(w->jobs);
+        w->told_count = 0;
     }
+    told_gone(w);
     struct result *r;
     TAILQ_FOREACH(r, &w->results, in_results)
     r->sent = false;
     work_flush(w);
     scene_fetcher_connected(job_table_loader(w->jobs));
+    feed_pool(w);
+}
+
+/* Takes back from the threads what none has begun. */
+static void unpool_all(struct work *w)
+{
+    struct lease *lease;
+    TAILQ_FOREACH(lease, &w->leases, in_leases)
+    if (lease->state == LEASE_POOLED && pool_cancel(w->options.pool, &lease->task))
+        lease->state = LEASE_WAITING;
 }
 
 void work_disconnected(struct work *w)
 {
     w->connected = false;
-    drop_all(w, NULL, false);
+    if (w->draining)
+        drop_all(w, NULL, false);
+    else
+        unpool_all(w);
     scene_fetcher_disconnected(job_table_loader(w->jobs));
 }
 
 void work_drain(struct work *w)
 {
     w->draining = true;
+    if (!w->connected)
+        drop_all(w, NULL, false);
     struct lease *lease, *next;
     for (lease = TAILQ_FIRST(&w->leases); lease; lease = next) {
         next = TAILQ_NEXT(lease, in_leases);

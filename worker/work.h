@@ -1,12 +1,14 @@
 /* worker/work.h: the leases a worker holds and the results it has not yet been thanked for.
  *
  *   Lease --> WAITING (for the scene) --> POOLED (queued or on a thread) --> result
- *                |                            |                                |
- *                +---- Revoke, JobEnd, -------+                        sent, sent again
- *                      connection lost (what has begun goes on)        after a reconnect,
- *                                                                      until ResultAck
+ *                |        ^                   |       |                        |
+ *                |        +- connection lost -+       |                sent, sent again
+ *                |           (not if begun)           |                after a reconnect,
+ *                +---- Revoke, JobEnd ----------------+                until ResultAck
  *
- * What outlives a connection is here; the session (session.h) knows connections only.
+ * What outlives a connection is here; the session (session.h) knows connections only. Without one
+ * nothing is begun; the next Hello tells the master what is held, and it revokes what it does not
+ * want (PROTOCOL.md, "Leases outlive connections").
  * Bounded: leases by what a master may give (over it, the connection is broken off),
  * results by RESULT_BYTES_MAX, over which no further unit is begun.
  *
@@ -50,10 +52,14 @@ TL_NODISCARD enum err work_body_wanted(const struct work *w, const struct messag
  * Another farm: everything held is dropped. */
 void work_connected(struct work *w, bool same_farm);
 
-/* Leases that have not begun are dropped: the master gives them to others. */
+/* Nothing more is begun; once draining, what has not begun is dropped. */
 void work_disconnected(struct work *w);
 
-/* From now on leases are ignored; those that wait for a scene are dropped. */
+/* For the Hello: what is held, results first, then what is begun, then the rest; gives how many.
+ * What finds no room and has not begun is dropped. */
+uint32_t work_held(struct work *w, tilery_Held held[LIMIT_HELD_TOLD]);
+
+/* From now on leases are ignored; those that wait for a scene, or for a connection, are dropped. */
 void work_drain(struct work *w);
 
 /* Sends results that found no room before. */

@@ -36,9 +36,11 @@
  *      and that lease's count of open cells is the number of spots it owns.
  *   3. No lease reaches beyond a cell's window: block < frontier + SCHED_WINDOW.
  *   4. DONE is final unless the caller resets the cell.
- *   5. A lease names a live worker, and its epoch was never used before.
- *   6. A worker's leases are at most its allowance; `begun` are at most its threads, and a lease
- *      has a deadline exactly while it is begun (its worker has reported the job ready).
+ *   5. A lease names a live worker. An epoch names one lease for ever; one that is adopted keeps
+ *      it.
+ *   6. A worker is given no lease beyond its allowance (it may bring more along); `begun` are at
+ *      most its threads, and a lease has a deadline exactly while it is begun (its worker has
+ *      reported the job ready).
  *   7. No lease is held by a worker that is lost, set aside or quarantined.
  *   8. A worker that renders a suspect alone holds that one lease only.
  *   9. Copies of a unit are on different workers; a check never asks a worker that has voted.
@@ -48,7 +50,11 @@
  *
  * Over a restart of the master the caller keeps what matters: done spots, blame (SCHED_UNIT_LOST),
  * open checks (SCHED_CHECK_OPENED, _CLOSED) and who lied or was set aside; see sched_job_add and
- * SCHED_WORKER_PAST. Speeds and costs are measured again.
+ * SCHED_WORKER_PAST. Leases are kept by the workers themselves: each says when it joins what it
+ * still holds (struct sched_held), and that becomes leases again, with the old epochs, unless
+ * another worker has done it or begun it. A job that goes on is quiet for a while
+ * (sched_job_add.quiet_ms), so that they can come back before anything is leased anew. Speeds and
+ * costs are measured again.
  *
  * Method: guided self-scheduling bounds the unit size (Polychronopoulos and Kuck 1987); late copies
  * of the slowest leases follow MapReduce and LATE (Zaharia et al., OSDI 2008).
@@ -127,7 +133,7 @@ enum sched_event_type {
     SCHED_CELLS_RESET,
 
     SCHED_WORKER_PAST,  /* .past: what is known of an unknown worker; before its JOIN */
-    SCHED_WORKER_JOIN,  /* .threads; also a return */
+    SCHED_WORKER_JOIN,  /* .join; also a return */
     SCHED_WORKER_LOST,  /* connection gone or silent: its leases go to others */
     SCHED_WORKER_DRAIN, /* takes no more work */
     SCHED_WORKER_LEFT,  /* said goodbye: leases returned, no blame */
@@ -185,7 +191,8 @@ struct sched_job_add {
     double verify_share;     /* of units rendered twice by different workers, 0..1 */
     int32_t priority;        /* higher first */
     bool paused;
-    void *memory; /* sched_job_bytes(), aligned to 64; lent until SCHED_JOB_REMOVE */
+    uint32_t quiet_ms; /* leases nothing for so long, but takes up what workers bring along */
+    void *memory;      /* sched_job_bytes(), aligned to 64; lent until SCHED_JOB_REMOVE */
     /* What is done already, in the order in which it was accepted or by rising block (a spot
      * beyond its cell's window cannot be held and is rendered again). Lent for the call. */
     const struct sched_done *done;
@@ -196,6 +203,27 @@ struct sched_job_add {
     size_t blame_count;
     const struct sched_open_check *checks;
     size_t check_count;
+};
+
+/* A lease of an earlier connection, as its worker tells. Nothing of it is believed: a unit that is
+ * none, a job or an epoch that never was are refused. */
+enum sched_held_state {
+    SCHED_HELD_WAITING, /* not begun */
+    SCHED_HELD_BEGUN,
+    SCHED_HELD_RESULT, /* rendered; the result comes next */
+};
+struct sched_held {
+    uint64_t job, epoch;
+    struct unit unit;
+    enum sched_held_state state;
+};
+
+/* Of what it holds, what nobody else has begun stays with the worker; SCHED_REVOKE follows for the
+ * rest. At most leases_per_worker_max of it are looked at. */
+struct sched_join {
+    uint32_t threads;              /* 1.. */
+    const struct sched_held *held; /* results first, then what is begun; lent for the call */
+    size_t held_count;
 };
 
 struct sched_past {
@@ -231,7 +259,7 @@ struct sched_event {
         struct sched_result result;
         struct sched_mismatch mismatch;
         struct sched_past past;
-        uint32_t threads; /* 1.. */
+        struct sched_join join;
         uint64_t rtt_us;
         uint64_t epoch;
         int32_t priority;
@@ -353,7 +381,10 @@ struct sched_job_info {
     uint32_t leases;                          /* out now */
     uint32_t workers;                         /* that hold one */
     uint64_t units;                           /* results accepted, wholly or in part */
-    uint64_t retried;                         /* leases whose cells had been leased before */
+    /* Leases that ended without their result, so that their cells were leased again: the worker
+     * was lost, late, set aside or a liar, left, or failed the unit. Not what the master took back
+     * because it was not wanted any more, and no copies. */
+    uint64_t retried;
     uint64_t speculated;                      /* end-game copies leased */
     uint64_t rejected;                        /* results ignored, or found to be lies */
     uint64_t compared;                        /* results, or parts, that came twice */

@@ -122,10 +122,11 @@ static bool job_offers(const struct sched *s, const struct job *j, const struct 
            check_for(s, j, w) != SLOT_NONE;
 }
 
-static bool job_has_work(const struct job *j)
+static bool job_has_work(const struct sched *s, const struct job *j)
 {
-    return j->state == SCHED_ACTIVE && (j->suspects.count > 0 || j->spots.waiting > 0 ||
-                                        j->suspects_alone.count > 0 || j->checks.count > 0);
+    return j->state == SCHED_ACTIVE && s->now_ms >= j->quiet_until_ms &&
+           (j->suspects.count > 0 || j->spots.waiting > 0 || j->suspects_alone.count > 0 ||
+            j->checks.count > 0);
 }
 
 /* A suspect that may only be rendered alone needs a worker that holds nothing: have one emptied. */
@@ -153,7 +154,7 @@ static uint32_t job_for(struct sched *s, uint32_t worker)
         struct job *j = &s->jobs[job];
         if (best != SLOT_NONE && j->priority < s->jobs[best].priority)
             break;
-        if (!job_has_work(j) || worker_barred(s, w, j->id))
+        if (!job_has_work(s, j) || worker_barred(s, w, j->id))
             continue;
         if (reserve(s, j, worker))
             return SLOT_NONE;
@@ -176,8 +177,7 @@ static uint32_t job_for(struct sched *s, uint32_t worker)
 static uint32_t lease_suspect(struct sched *s, uint32_t worker, uint32_t job, uint32_t suspect,
                               bool alone)
 {
-    struct suspect *p = &s->suspects[suspect];
-    struct job *j = &s->jobs[job];
+    const struct suspect *p = &s->suspects[suspect];
     if (p->open < p->unit.cell_count) {
         /* A late result brought part of it: it does not kill. Carve it anew. */
         suspect_dissolve(s, suspect);
@@ -186,26 +186,17 @@ static uint32_t lease_suspect(struct sched *s, uint32_t worker, uint32_t job, ui
     uint32_t lease = lease_new(s, worker, job, p->unit, SCHED_KIND_RETRY);
     if (lease == SLOT_NONE)
         return SLOT_NONE;
-    chain_remove(alone ? &j->suspects_alone : &j->suspects, s->suspect_pool.links, suspect);
-    p->lease = lease;
-    p->open = 0;
-    s->leases[lease].suspect = suspect;
     s->leases[lease].alone = alone;
     s->workers[worker].alone = alone;
-    lease_own(s, lease);
+    lease_own_suspect(s, lease, suspect);
     return lease;
 }
 
 static uint32_t lease_check(struct sched *s, uint32_t worker, uint32_t job, uint32_t check)
 {
-    struct job *j = &s->jobs[job];
     uint32_t lease = lease_new(s, worker, job, s->checks[check].unit, SCHED_KIND_CHECK);
-    if (lease == SLOT_NONE)
-        return SLOT_NONE;
-    chain_remove(&j->checks, s->check_pool.links, check);
-    chain_push(&j->checks_out, s->check_pool.links, check);
-    s->checks[check].lease = lease;
-    s->leases[lease].check = check;
+    if (lease != SLOT_NONE)
+        lease_own_check(s, lease, check);
     return lease;
 }
 
@@ -347,7 +338,8 @@ static uint32_t lease_copy(struct sched *s, uint32_t worker)
     for (uint32_t i = 0; i < s->job_rank_count; i++) {
         uint32_t job = s->job_rank[i];
         struct job *j = &s->jobs[job];
-        if (j->state != SCHED_ACTIVE || worker_barred(s, w, j->id))
+        if (j->state != SCHED_ACTIVE || s->now_ms < j->quiet_until_ms ||
+            worker_barred(s, w, j->id))
             continue;
         uint32_t check = check_to_take(s, worker, j), of = copy_candidate(s, worker, j);
         if ((check == SLOT_NONE && of == SLOT_NONE) || !worker_job_get(s, w, j->id))
@@ -410,16 +402,13 @@ static void announce(struct sched *s, uint32_t lease, struct sched_action *out)
     s->stash = *out;
     s->stashed = true;
     *out = (struct sched_action){.type = SCHED_OPEN_JOB, .worker = w->handle, .job = j->id};
-    wj->open = true;
-    wj->ready = false;
-    wj->opened_ms = s->now_ms;
-    worker_timer_set(s, l->worker);
+    worker_job_open(s, l->worker, wj);
 }
 
 static bool farm_has_work(const struct sched *s)
 {
     for (uint32_t i = 0; i < s->job_rank_count; i++) {
-        if (job_has_work(&s->jobs[s->job_rank[i]]))
+        if (job_has_work(s, &s->jobs[s->job_rank[i]]))
             return true;
     }
     return false;

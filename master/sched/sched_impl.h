@@ -5,6 +5,7 @@
  * sched_jobs.c       life of a job
  * sched_workers.c    life and health of a worker
  * sched_leases.c     life of a lease: begun, ended, blamed
+ * sched_adopt.c      leases that a worker brings along when it joins
  * sched_assign.c     who gets what next
  * sched_results.c    results and checks
  * sched_restore.c    what an earlier life of the master knew
@@ -60,6 +61,7 @@ struct job {
     /* The spots; tables in the caller's memory. */
     uint32_t cell_count, block_count;
     uint32_t unit_ms; /* cap of a unit's aimed duration */
+    uint64_t quiet_until_ms; /* nothing new is leased before */
     bool open;        /* limits may change yet */
     double cell_cost, verify_share;
     struct cellset_shape shape;
@@ -273,6 +275,7 @@ void worker_unlist(struct sched *s, uint32_t worker);
 struct worker_job *worker_job_find(struct worker *w, uint64_t job);
 /* The worker's entry of a job, made if needed; NULL when all entries hold leases. */
 struct worker_job *worker_job_get(struct sched *s, struct worker *w, uint64_t job);
+void worker_job_open(struct sched *s, uint32_t worker, struct worker_job *wj);
 bool worker_barred(const struct sched *s, struct worker *w, uint64_t job);
 void worker_begin_leases(struct sched *s, uint32_t worker);
 void worker_fault(struct sched *s, uint32_t worker);
@@ -287,13 +290,19 @@ enum sched_worker_state worker_state(const struct worker *w);
 enum lease_end {
     END_RESULT,  /* its result arrived and is about to be answered */
     END_FAILED,  /* the worker gave it back */
-    END_REVOKED, /* worker must be told */
+    END_TAKEN,   /* from a worker that is late or not to be trusted; it must be told */
+    END_REVOKED, /* not wanted any more; likewise */
     END_DROPPED, /* worker is gone */
 };
 /* SLOT_NONE when the table is full. Takes no spots. */
 uint32_t lease_new(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,
                    enum sched_lease_kind kind);
+/* As lease_new, with an epoch of before. */
+uint32_t lease_make(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,
+                    enum sched_lease_kind kind, uint64_t epoch);
 void lease_own(struct sched *s, uint32_t lease);
+void lease_own_suspect(struct sched *s, uint32_t lease, uint32_t suspect);
+void lease_own_check(struct sched *s, uint32_t lease, uint32_t check);
 void lease_join(struct sched *s, uint32_t lease, uint32_t twin);
 void lease_end(struct sched *s, uint32_t lease, enum lease_end how, bool blame);
 void lease_release_unit(struct sched *s, uint32_t lease);
@@ -308,6 +317,10 @@ void suspect_dissolve(struct sched *s, uint32_t suspect);
 void job_leases_revoke(struct sched *s, uint32_t job);
 void worker_leases_end(struct sched *s, uint32_t worker, uint64_t job, enum lease_end how,
                        bool blame);
+
+/* --- sched_adopt.c --- */
+/* What a worker that joins holds becomes leases again, or is revoked. */
+void worker_adopt(struct sched *s, uint32_t worker, const struct sched_held *held, size_t count);
 
 /* --- sched_assign.c --- */
 /* After every event: workers may be tried again. */

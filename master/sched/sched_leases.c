@@ -19,17 +19,17 @@ static void set_solo(struct sched *s, uint32_t lease, bool solo)
     chain_push(lease_job_chain(j, l), s->lease_job_links, lease);
 }
 
-uint32_t lease_new(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,
-                   enum sched_lease_kind kind)
+uint32_t lease_make(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,
+                    enum sched_lease_kind kind, uint64_t epoch)
 {
     struct worker *w = &s->workers[worker];
     struct job *j = &s->jobs[job];
     struct worker_job *wj = worker_job_find(w, j->id);
-    TL_ASSERT(wj && worker_usable(w) && j->state == SCHED_ACTIVE);
-    uint32_t slot = slotmap_add(&s->lease_map, s->epoch_next);
+    TL_ASSERT(wj && worker_usable(w) && job_is_live(j));
+    uint32_t slot = slotmap_add(&s->lease_map, epoch);
     if (slot == SLOT_NONE)
         return SLOT_NONE;
-    s->leases[slot] = (struct lease){.epoch = s->epoch_next++,
+    s->leases[slot] = (struct lease){.epoch = epoch,
                                      .worker = worker,
                                      .job = job,
                                      .unit = unit,
@@ -49,21 +49,58 @@ uint32_t lease_new(struct sched *s, uint32_t worker, uint32_t job, struct unit u
     return slot;
 }
 
-/* The lease takes the spots of its unit, which wait or are held by its suspect. */
+uint32_t lease_new(struct sched *s, uint32_t worker, uint32_t job, struct unit unit,
+                   enum sched_lease_kind kind)
+{
+    TL_ASSERT(s->jobs[job].state == SCHED_ACTIVE);
+    uint32_t slot = lease_make(s, worker, job, unit, kind, s->epoch_next);
+    s->epoch_next += slot != SLOT_NONE;
+    return slot;
+}
+
+/* The lease takes the spots of its unit that wait: all of them, unless it is an adopted one. */
 void lease_own(struct sched *s, uint32_t lease)
 {
     struct lease *l = &s->leases[lease];
     struct job *j = &s->jobs[l->job];
     for (uint32_t i = 0; i < l->unit.cell_count; i++) {
         uint32_t cell = l->unit.cell_begin + i;
-        if (l->suspect == SLOT_NONE)
-            job_spot_take(j, cell, l->unit.block, lease);
-        else
-            *job_spot_owner(j, cell, l->unit.block) = lease;
+        if (job_spot_state(j, cell, l->unit.block) != SPOT_WAITING)
+            continue;
+        job_spot_take(j, cell, l->unit.block, lease);
+        l->open++;
     }
+    TL_ASSERT(l->open > 0);
+    l->owner = true;
+    set_solo(s, lease, true);
+}
+
+/* The lease takes all the spots of its unit from a pending suspect. */
+void lease_own_suspect(struct sched *s, uint32_t lease, uint32_t suspect)
+{
+    struct lease *l = &s->leases[lease];
+    struct job *j = &s->jobs[l->job];
+    struct suspect *p = &s->suspects[suspect];
+    TL_ASSERT(p->open == l->unit.cell_count);
+    chain_remove(suspect_chain(j, p), s->suspect_pool.links, suspect);
+    for (uint32_t i = 0; i < l->unit.cell_count; i++)
+        *job_spot_owner(j, l->unit.cell_begin + i, l->unit.block) = lease;
+    p->lease = lease;
+    p->open = 0;
+    l->suspect = suspect;
     l->owner = true;
     l->open = l->unit.cell_count;
     set_solo(s, lease, true);
+}
+
+/* The lease answers a pending check. */
+void lease_own_check(struct sched *s, uint32_t lease, uint32_t check)
+{
+    struct job *j = &s->jobs[s->leases[lease].job];
+    chain_remove(&j->checks, s->check_pool.links, check);
+    chain_push(&j->checks_out, s->check_pool.links, check);
+    s->checks[check].lease = lease;
+    s->leases[lease].check = check;
 }
 
 /* Makes `lease` a copy of the unit of `twin`. */
@@ -279,14 +316,15 @@ void lease_end(struct sched *s, uint32_t lease, enum lease_end how, bool blame)
     if (l->alone)
         w->alone = false;
 
-    if (how != END_RESULT && l->owner && l->open > 0 && l->twin == lease)
+    if ((how == END_FAILED || how == END_TAKEN || how == END_DROPPED) && l->owner && l->open > 0 &&
+        l->twin == lease)
         j->retried++;
     bool fail = unit_detach(s, lease, blame);
     check_detach(s, lease);
     chain_remove(lease_job_chain(j, l), s->lease_job_links, lease);
     struct unit unit = l->unit;
     uint32_t worker = l->worker, job = l->job;
-    if (how == END_REVOKED && w->connected) {
+    if ((how == END_REVOKED || how == END_TAKEN) && w->connected) {
         l->revoked = true;
         chain_push(&s->revoked, s->lease_worker_links, lease);
     } else {
@@ -359,7 +397,7 @@ void lease_timer_fired(struct sched *s, uint32_t lease)
     w->timeouts++;
     w->lost++;
     worker_job_find(w, s->jobs[s->leases[lease].job].id)->late++;
-    lease_end(s, lease, END_REVOKED, true);
+    lease_end(s, lease, END_TAKEN, true);
     worker_fault(s, worker);
 }
 

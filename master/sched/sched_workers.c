@@ -167,6 +167,15 @@ struct worker_job *worker_job_get(struct sched *s, struct worker *w, uint64_t jo
     return wj;
 }
 
+/* The worker is about to be told of the job. */
+void worker_job_open(struct sched *s, uint32_t worker, struct worker_job *wj)
+{
+    wj->open = true;
+    wj->ready = false;
+    wj->opened_ms = s->now_ms;
+    worker_timer_set(s, worker);
+}
+
 bool worker_barred(const struct sched *s, struct worker *w, uint64_t job)
 {
     const struct worker_job *wj = worker_job_find(w, job);
@@ -275,7 +284,7 @@ void worker_fault(struct sched *s, uint32_t worker)
     if (w->pauses < PAUSES_MAX)
         w->pauses++;
     uint32_t held = w->held;
-    worker_leases_end(s, worker, 0, END_REVOKED, false);
+    worker_leases_end(s, worker, 0, END_TAKEN, false);
     worker_timer_set(s, worker);
     worker_place(s, worker);
     sched_news_push(s, &(struct sched_action){.type = SCHED_WORKER_NEWS,
@@ -303,7 +312,7 @@ void worker_quarantine(struct sched *s, uint32_t worker)
     if (w->quarantined)
         return;
     w->quarantined = true;
-    worker_leases_end(s, worker, 0, END_REVOKED, false);
+    worker_leases_end(s, worker, 0, END_TAKEN, false);
     worker_timer_set(s, worker);
     worker_place(s, worker);
 }
@@ -357,9 +366,9 @@ uint32_t worker_add(struct sched *s, uint64_t handle)
     return worker;
 }
 
-static bool worker_join(struct sched *s, uint64_t handle, uint32_t threads)
+static bool worker_join(struct sched *s, uint64_t handle, const struct sched_join *join)
 {
-    if (handle == 0 || threads == 0)
+    if (handle == 0 || join->threads == 0)
         return false;
     uint32_t worker = slotmap_find(&s->worker_map, handle);
     if (worker == SLOT_NONE)
@@ -371,10 +380,12 @@ static bool worker_join(struct sched *s, uint64_t handle, uint32_t threads)
         worker_gone(s, worker, false);
     w->connected = true;
     w->drained_told = false;
-    w->threads = threads < SCHED_THREADS_MAX ? threads : SCHED_THREADS_MAX;
+    w->threads = join->threads < SCHED_THREADS_MAX ? join->threads : SCHED_THREADS_MAX;
     if (w->set_aside && w->until_ms <= s->now_ms)
         w->until_ms = s->now_ms;
     worker_timer_set(s, worker);
+    worker_place(s, worker);
+    worker_adopt(s, worker, join->held, join->held_count);
     worker_place(s, worker);
     return true;
 }
@@ -433,7 +444,7 @@ bool workers_feed(struct sched *s, const struct sched_event *e)
     if (e->type == SCHED_WORKER_PAST)
         return worker_past(s, e->worker, &e->past);
     if (e->type == SCHED_WORKER_JOIN)
-        return worker_join(s, e->worker, e->threads);
+        return worker_join(s, e->worker, &e->join);
     uint32_t worker = slotmap_find(&s->worker_map, e->worker);
     if (worker == SLOT_NONE || !s->workers[worker].connected)
         return false;

@@ -16,7 +16,7 @@ import urllib.request
 import pytest
 
 from farm import Farm, SEED_SCENE, SLOW, samples, wait_until
-from wire_peer import HEADER, Closed, Peer, frame
+from wire_peer import BEGUN, HEADER, WAITING, Closed, Peer, frame
 
 MASK = (1 << 64) - 1
 PRIMES = (0x9E3779B185EBCA87, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x85EBCA77C2B2AE63,
@@ -586,6 +586,82 @@ def test_unacknowledged_result_survives_the_master(farm, job):
     report = farm.job(job)
     assert report["image_sha256"] == expected_sha()
     assert report["samples"] == SIDE * SIDE * SPP
+
+
+def held(lease, state, **changes):
+    return {**{k: lease[k] for k in ("job", "cell_begin", "cell_count", "block", "epoch")},
+            "state": state, **changes}
+
+
+def cells_of(lease):
+    return {(lease["block"], lease["cell_begin"] + i) for i in range(lease["cell_count"])}
+
+
+def test_leases_outlive_the_master(farm, job):
+    """What workers tell a new master of is not rendered again: no cell is leased twice."""
+    first = Scripted(farm, instance=71)
+    number = first.expect("Welcome")["farm"]
+    first.send("JobReady", job=1)
+    one = first.lease()
+    fields, body = honest(one)
+    first.send("Result", body, **fields)
+    first.expect("ResultAck")  # the job is begun, as the disk knows
+    first.drain_messages()
+    kept = list(first.leases)
+    assert len(kept) >= 2
+    farm.kill_master()
+    farm.start_master()
+    # Another one is first, and must wait for those that may come back.
+    other = Scripted(farm, threads=4, instance=72).welcome()
+    other.send("JobReady", job=1)
+    again = Scripted(farm, instance=71, last_id="w1", last_farm=number,
+                     held=[held(lease, WAITING if i else BEGUN) for i, lease in enumerate(kept)])
+    again.welcome()
+    again.send("JobReady", job=1)
+    for peer in (again, other):
+        peer.drain_messages(0.5)
+    for peer in (again, other):
+        peer.drain_messages(0.5)
+    mine = set().union(*map(cells_of, kept))
+    assert other.leases, "nothing was leased after the wait"
+    for lease in other.leases + again.leases:
+        assert not cells_of(lease) & (mine | cells_of(one)), lease
+        assert lease["epoch"] not in {k["epoch"] for k in kept}
+    for lease in kept:
+        fields, body = honest(lease)
+        again.send("Result", body, **fields)
+    again.leases += other.leases
+    other.close()
+    render_all(farm, again, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert report["samples"] == SIDE * SIDE * SPP
+
+
+def test_held_leases_that_never_were(farm, job):
+    """Nothing of what a Hello tells is believed; what is not so is revoked."""
+    first = Scripted(farm, instance=81)
+    number = first.expect("Welcome")["farm"]
+    lease = first.lease()
+    first.close()
+    good = held(lease, BEGUN)
+    false = [{**good, **change} for change in (
+        {"epoch": 0}, {"epoch": lease["epoch"] + 1000}, {"epoch": 2 ** 64 - 1}, {"job": 9},
+        {"job": 0}, {"block": 9}, {"cell_begin": CELLS}, {"cell_count": CELLS + 1})]
+    peer = Scripted(farm, instance=81, last_id="w1", last_farm=number, held=false)
+    revoked = set()
+    while len(revoked) < len(false):
+        m = peer.expect("Revoke", "Welcome")
+        if m.type == "Revoke":
+            revoked.add((m["job"], m["epoch"]) if m["job"] == 9 else len(revoked))
+    # Of another farm: not looked at. More than anybody can hold, or no state: hung up on.
+    Scripted(farm, last_farm=number ^ 1, held=[good] * 256).welcome()
+    Scripted(farm, last_farm=number, held=[good] * 256).welcome()
+    for bad in ([good] * 257, [{**good, "state": 3}], [{**good, "cell_count": 0}],
+                [{**good, "cell_begin": 2 ** 32 - 1}], [b"\xff\xff"]):
+        Scripted(farm, last_farm=number, held=bad).expect_closed()
+    render_all(farm, peer, job)
+    assert farm.job(job)["image_sha256"] == expected_sha()
 
 
 # --- Broken and lying workers ----------------------------------------------------------------------

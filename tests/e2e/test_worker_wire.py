@@ -14,8 +14,8 @@ import time
 import unittest
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from wire_peer import (HEADER, Closed, Master, Package, Worker, encode, frame,  # noqa: E402
-                       sanitized)
+from wire_peer import (BEGUN, HEADER, RESULT, WAITING, Closed, Master, Package,  # noqa: E402
+                       Worker, encode, frame, sanitized)
 
 
 def serve(peer, package, names=("JobReady",), changed=None):
@@ -320,21 +320,48 @@ class WorkerWire(unittest.TestCase):
         with self.assertRaises(TimeoutError):
             peer.expect("Result", timeout=1.0)
 
-    def test_what_runs_when_the_master_dies_is_offered_later(self):
+    def test_leases_outlive_their_connection(self):
+        """The next Hello tells what is held; what is not revoked is rendered, with the old epochs."""
         self.worker()
         peer = self.master.accept()
-        peer.shake()
+        self.assertEqual(peer.shake()["held"], [])
         begin_job(peer, self.slow)
         serve(peer, self.slow)
-        give(peer, self.slow, list(self.slow.units)[:4])
+        units = list(self.slow.units)[:4]
+        give(peer, self.slow, units)
         time.sleep(0.2)  # both threads have begun
         peer.close()
         peer = self.master.accept()
-        peer.shake()
-        epochs = {peer.expect("Result", timeout=60)["epoch"] for _ in range(2)}
-        self.assertEqual(epochs, {100, 101})  # two threads had begun, the other leases are void
+        held = {h["epoch"]: h for h in peer.shake()["held"]}
+        self.assertEqual(set(held), {100, 101, 102, 103})
+        for epoch, unit in zip(sorted(held), units):
+            told = held[epoch]
+            self.assertEqual((told["cell_begin"], told["cell_count"], told["block"]), unit)
+            self.assertEqual(told["job"], 1)
+            begun = (BEGUN, RESULT) if epoch < 102 else (WAITING,)  # nothing begins alone
+            self.assertIn(told["state"], begun)
+        peer.send("Revoke", job=1, epoch=103)
+        results = {peer.expect("Result", timeout=60)["epoch"] for _ in range(3)}
+        self.assertEqual(results, {100, 101, 102})
         with self.assertRaises(TimeoutError):
             peer.expect("Result", timeout=1.0)
+
+    def test_leases_are_void_for_another_farm(self):
+        self.worker()
+        peer = self.master.accept()
+        peer.shake(farm=7)
+        begin_job(peer, self.slow)
+        serve(peer, self.slow)
+        give(peer, self.slow, list(self.slow.units)[:4])
+        time.sleep(0.2)
+        peer.close()
+        peer = self.master.accept()
+        self.assertEqual(len(peer.shake(farm=8)["held"]), 4)
+        with self.assertRaises(TimeoutError):
+            peer.expect("Result", "UnitFailed", timeout=1.0)
+        peer.close()
+        peer = self.master.accept()
+        self.assertEqual(peer.shake(farm=8)["held"], [])
 
     def test_a_silent_master_is_left(self):
         self.worker()

@@ -18,13 +18,17 @@ TYPES = {
     "Goodbye": 18,
 }
 NAMES = {number: name for name, number in TYPES.items()}
+WAITING, BEGUN, RESULT = range(3)  # state of a Held
 
-# Field number -> (name, kind): u varint, b bytes, s string, d double, r repeated string.
+# Field number -> (name, kind): u varint, b bytes, s string, d double, r repeated string,
+# h repeated Held.
 FIELDS = {
     "Hello": {1: ("protocol_min", "u"), 2: ("protocol_max", "u"), 3: ("build_id", "s"),
               4: ("determinism_id", "b"), 5: ("name", "s"), 6: ("host", "s"), 7: ("threads", "u"),
               8: ("tags", "r"), 9: ("token", "s"), 10: ("cpu", "s"), 11: ("instance", "u"),
-              12: ("last_id", "s"), 13: ("last_farm", "u")},
+              12: ("last_id", "s"), 13: ("last_farm", "u"), 14: ("held", "h")},
+    "Held": {1: ("job", "u"), 2: ("cell_begin", "u"), 3: ("cell_count", "u"), 4: ("block", "u"),
+             5: ("epoch", "u"), 6: ("state", "u")},
     "Welcome": {1: ("protocol", "u"), 2: ("worker_id", "s"), 3: ("heartbeat_ms", "u"),
                 4: ("farm", "u")},
     "Refuse": {1: ("reason", "u"), 2: ("text", "s")},
@@ -64,9 +68,11 @@ def varint(n):
 def encode(name, values):
     out = b""
     for number, (field, kind) in FIELDS[name].items():
-        for value in values.get(field, []) if kind == "r" else [values.get(field)]:
+        for value in values.get(field, []) if kind in "rh" else [values.get(field)]:
             if value is None:
                 continue
+            if kind == "h" and not isinstance(value, bytes):
+                value = encode("Held", value)
             if kind == "u":
                 out += varint(number << 3) + varint(value)
             elif kind == "d":
@@ -79,7 +85,7 @@ def encode(name, values):
 
 def decode(name, data):
     defaults = {"u": 0, "s": "", "b": b"", "d": 0.0}
-    out = {f: [] if k == "r" else defaults[k] for f, k in FIELDS[name].values()}
+    out = {f: [] if k in "rh" else defaults[k] for f, k in FIELDS[name].values()}
     at = 0
 
     def take_varint():
@@ -107,6 +113,8 @@ def decode(name, data):
             at += size
             if kind == "r":
                 out[field].append(value.decode())
+            elif kind == "h":
+                out[field].append(decode("Held", value))
             else:
                 out[field] = value.decode() if kind == "s" else value
     return out

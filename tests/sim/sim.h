@@ -25,6 +25,7 @@
 #include "master/journal.h"
 #include "master/sched/sched.h"
 #include "proto/frame.h"
+#include "proto/limits.h"
 #include "proto/message.h"
 #include "proto/tile_codec.h"
 
@@ -148,6 +149,8 @@ struct sim_worker {
     size_t queue_count, queue_capacity;
     struct sim_running running[SIM_THREADS_MAX];
     uint32_t running_count;
+    tilery_Held told[LIMIT_HELD_TOLD]; /* in the last Hello */
+    uint32_t told_count;
     struct sim_result *unacked;
     size_t unacked_count, unacked_capacity;
 };

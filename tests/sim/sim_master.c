@@ -338,6 +338,14 @@ void master_feed(struct sim *sim, const struct sched_event *e)
 static void on_hello(struct sim *sim, uint32_t conn, const tilery_Hello *hello)
 {
     static struct message m;
+    struct sched_held held[LIMIT_HELD_TOLD];
+    for (size_t i = 0; i < hello->held_count; i++) {
+        const tilery_Held *h = &hello->held[i];
+        held[i] = (struct sched_held){.job = h->job,
+                                      .epoch = h->epoch,
+                                      .unit = {h->cell_begin, h->cell_count, h->block},
+                                      .state = (enum sched_held_state)h->state};
+    }
     uint64_t handle = hello->instance;
     uint32_t old = conn_of(sim, handle);
     if (old != NO_CONN)
@@ -353,7 +361,10 @@ static void on_hello(struct sim *sim, uint32_t conn, const tilery_Hello *hello)
         master_feed(sim, &(struct sched_event){
                              .type = SCHED_WORKER_PAST, .worker = handle, .past = {.lied = true}});
     master_feed(sim, &(struct sched_event){
-                         .type = SCHED_WORKER_JOIN, .worker = handle, .threads = hello->threads});
+                         .type = SCHED_WORKER_JOIN, .worker = handle,
+                         .join = {.threads = hello->threads,
+                                  .held = held,
+                                  .held_count = hello->held_count}});
     master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_RTT,
                                            .worker = handle,
                                            .rtt_us = 2 * (uint64_t)sim->c.latency_us});
@@ -524,6 +535,7 @@ static void add_job(struct sim *sim, uint32_t job)
                                                    .block_count = j->blocks,
                                                    .cell_cost = sim->c.cell_cost,
                                                    .verify_share = sim->c.verify,
+                                                   .quiet_ms = sim->m.life > 1 ? 600 : 0,
                                                    .priority = (int32_t)(job % 2),
                                                    .memory = j->memory,
                                                    .done = runs,

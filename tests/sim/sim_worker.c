@@ -61,6 +61,18 @@ static void render_body(struct sim *sim, const struct sim_worker *w, struct sim_
 
 /* --- Messages out -------------------------------------------------------------------------- */
 
+static void tell_held(tilery_Hello *h, const struct sim_lease *l, tilery_HeldState state)
+{
+    if (h->held_count == LIMIT_HELD_TOLD)
+        return;
+    h->held[h->held_count++] = (tilery_Held){.job = l->job,
+                                             .cell_begin = l->unit.cell_begin,
+                                             .cell_count = l->unit.cell_count,
+                                             .block = l->unit.block,
+                                             .epoch = l->epoch,
+                                             .state = state};
+}
+
 static void say_hello(struct sim *sim, struct sim_worker *w)
 {
     static struct message m;
@@ -70,6 +82,17 @@ static void say_hello(struct sim *sim, struct sim_worker *w)
     m.hello.threads = w->threads;
     m.hello.instance = w->handle;
     MESSAGE_TEXT(m.hello.name, "sim");
+    for (size_t i = 0; i < w->unacked_count; i++)
+        tell_held(&m.hello, &w->unacked[i].lease, tilery_HELD_RESULT);
+    for (uint32_t i = 0; i < w->running_count; i++)
+        tell_held(&m.hello, &w->running[i].lease, tilery_HELD_BEGUN);
+    for (size_t i = 0; i < w->queue_count; i++)
+        tell_held(&m.hello, &w->queue[i], tilery_HELD_WAITING);
+    SIM_CHECK(sim, w->queue_count + w->running_count <= w->threads + LIMIT_HELD + 64,
+              "worker %" PRIu64 " holds %zu leases that no master knows of", w->handle,
+              w->queue_count + w->running_count);
+    w->told_count = m.hello.held_count;
+    memcpy(w->told, m.hello.held, sizeof w->told);
     net_send(sim, w->conn, SIDE_MASTER, &m, NULL, 0);
 }
 
@@ -126,7 +149,7 @@ static void queue_remove(struct sim_worker *w, size_t at)
 static void render_next(struct sim *sim, uint32_t worker)
 {
     struct sim_worker *w = &sim->workers[worker];
-    for (size_t i = 0; i < w->queue_count && w->running_count < w->threads;) {
+    for (size_t i = 0; w->welcomed && i < w->queue_count && w->running_count < w->threads;) {
         struct sim_lease l = w->queue[i];
         if (w->load[l.job - 1] != LOAD_READY) {
             i++;
@@ -164,7 +187,8 @@ static void rendered(struct sim *sim, uint32_t worker, uint64_t epoch)
     w->running[at] = w->running[--w->running_count];
     sim->stats.rendered_us += r.cost_us;
     if (!sim->healed && sim_chance(sim, sim->c.fail_share)) {
-        say_unit_failed(sim, w, &r.lease);
+        if (w->welcomed)
+            say_unit_failed(sim, w, &r.lease);
     } else {
         w->unacked =
             sim_grow(w->unacked, w->unacked_count, &w->unacked_capacity, sizeof *w->unacked);
@@ -226,7 +250,8 @@ static void loaded(struct sim *sim, uint32_t worker, uint64_t job)
         return;
     }
     w->load[job - 1] = LOAD_READY;
-    say_of_job(sim, w, FRAME_JOB_READY, job);
+    if (w->welcomed)
+        say_of_job(sim, w, FRAME_JOB_READY, job);
     render_next(sim, worker);
 }
 
@@ -265,12 +290,38 @@ static void on_revoke(struct sim *sim, uint32_t worker, uint64_t epoch)
     }
 }
 
+static bool holds(const struct sim_worker *w, uint64_t epoch)
+{
+    for (size_t i = 0; i < w->queue_count; i++)
+        if (w->queue[i].epoch == epoch)
+            return true;
+    for (uint32_t i = 0; i < w->running_count; i++)
+        if (w->running[i].lease.epoch == epoch)
+            return true;
+    for (size_t i = 0; i < w->unacked_count; i++)
+        if (w->unacked[i].lease.epoch == epoch)
+            return true;
+    return false;
+}
+
+/* As the worker does: what the Hello told of and is not there any more has failed. */
+static void told_gone(struct sim *sim, struct sim_worker *w)
+{
+    for (uint32_t i = 0; i < w->told_count; i++)
+        if (!holds(w, w->told[i].epoch))
+            say_unit_failed(
+                sim, w, &(struct sim_lease){.job = w->told[i].job, .epoch = w->told[i].epoch});
+    w->told_count = 0;
+}
+
 void worker_message(struct sim *sim, uint32_t worker, const struct message *m)
 {
     struct sim_worker *w = &sim->workers[worker];
     switch (m->type) {
     case FRAME_WELCOME:
         w->welcomed = true;
+        told_gone(sim, w);
+        render_next(sim, worker);
         for (size_t i = 0; i < w->unacked_count; i++)
             say_result(sim, w, &w->unacked[i]);
         break;
@@ -310,6 +361,7 @@ static void reborn(struct sim *sim, struct sim_worker *w)
     w->life++;
     w->alive = true;
     w->stopped = w->draining = w->welcomed = false;
+    w->told_count = 0;
     w->conn = NO_CONN;
     if (w->handle == 0 || !sim->c.handles_kept)
         w->handle = sim->handle_next++;
@@ -380,7 +432,6 @@ void worker_conn_lost(struct sim *sim, uint32_t worker, uint32_t conn)
         return;
     w->conn = NO_CONN;
     w->welcomed = false;
-    drop_queued(w, 0);
     connect_later(sim, worker);
 }
 

@@ -9,3 +9,5 @@ tilery_test(test_sched_restart LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched_restart.c ${unit}/sched_rig.c)
 tilery_test(test_sched_limits LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched_limits.c ${unit}/sched_rig.c)
+tilery_test(test_sched_adopt LABEL unit LINKS tl_sched
+  SOURCES ${unit}/test_sched_adopt.c ${unit}/sched_rig.c)
