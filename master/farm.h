@@ -4,6 +4,7 @@
  *
  *   farm.c       scheduler glue: feeds events, carries out actions, keeps its timer
  *   jobs.c       the table of jobs: submit, admit, pause, cancel, finish, retention
+ *   job_keys.c   idempotency keys of submissions
  *   job_film.c   a job's film: load, checkpoint, finish, picture
  *   job_plan.c   samples by error or time: pilot, plan, stages (job_plan.h)
  *   results.c    a result's way: decode, check, schedule, store, film, acknowledge
@@ -87,6 +88,7 @@ struct job {
     int64_t estimated_ms, estimate_took_ms; /* of the error so far: when last, and how long */
     uint64_t estimated_count;               /* cell-blocks that were in it */
     bool final_stored;                      /* ended and its film is checkpointed */
+    uint64_t counts_stored;                 /* sum of what is counted in units, as the row has it */
 
     /* For the report. */
     int64_t ready_us, last_result_us;
@@ -145,7 +147,10 @@ struct farm {
     struct worker **workers; /* by rising id */
     size_t worker_count, worker_capacity;
     uint64_t worker_next;
-    struct idempotency *keys;  /* jobs.c */
+    struct job_keys {
+        struct job_key *items; /* by age */
+        size_t count, capacity;
+    } keys;
     struct worker_past *pasts; /* of workers that lied or were set aside, ever */
     size_t past_count, past_capacity;
 
@@ -233,9 +238,6 @@ struct job_request {
 TL_NODISCARD enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *done,
                                   void *ctx, struct job **out);
 
-/* The job made under a key; *conflict when its body differed. NULL: none. */
-struct job *jobs_by_key(const struct farm *f, const char *key, const digest *body, bool *conflict);
-
 /* ERR_STATE: not possible in its state. Stored by the time `done` is called. */
 TL_NODISCARD enum err jobs_set_state(struct farm *f, struct job *job, enum job_state to,
                                      store_done *done, void *ctx);
@@ -282,6 +284,19 @@ double jobs_done_share(const struct farm *f, const struct job *job);
 void jobs_left(const struct job *job, struct sched_job_info *info);
 /* Why it is not moving, or "". */
 const char *jobs_note(const struct farm *f, const struct job *job);
+
+/* Stores the rows of jobs of which something was leased again, verified or the like since: a
+ * restart must not forget it. */
+void jobs_keep_counts(struct farm *f);
+
+/* --- job_keys.c ------------------------------------------------------------ */
+
+/* The job made under an Idempotency-Key; *conflict when its body differed. NULL: none. */
+struct job *jobs_by_key(const struct farm *f, const char *key, const digest *body, bool *conflict);
+/* Remembers a key; the oldest goes when there are too many. */
+TL_NODISCARD enum err job_keys_note(struct farm *f, const char *key, const digest *body,
+                                    uint64_t job, int64_t at_us);
+void job_keys_release(struct farm *f);
 
 /* --- sweep.c ---------------------------------------------------------------- */
 

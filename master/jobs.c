@@ -22,18 +22,7 @@ enum {
     JOBS_IN_SCHED_MAX = 1000, /* below the scheduler's job_count_max */
     NEWS_MS = 500,            /* between two events of the same job that are not urgent */
     RETURN_MS = 600,          /* workers find a new master within 500 ms */
-    KEYS_MAX = 10000,
     SPEC_BYTES_MAX = sizeof((tilery_JobInfo *)0)->spec_json.bytes,
-};
-
-struct idempotency {
-    struct {
-        char *key; /* owned */
-        digest body;
-        uint64_t job;
-        int64_t at_us;
-    } * items;
-    size_t count, capacity;
 };
 
 /* --- Finding ------------------------------------------------------------ */
@@ -49,40 +38,6 @@ struct job *farm_job(const struct farm *f, uint64_t id)
             high = middle;
     }
     return low < f->job_count && f->jobs[low]->rec.id == id ? f->jobs[low] : NULL;
-}
-
-struct job *jobs_by_key(const struct farm *f, const char *key, const digest *body, bool *conflict)
-{
-    *conflict = false;
-    for (size_t i = 0; i < f->keys->count; i++) {
-        if (strcmp(f->keys->items[i].key, key) != 0)
-            continue;
-        *conflict = !digest_equal(&f->keys->items[i].body, body);
-        return farm_job(f, f->keys->items[i].job);
-    }
-    return NULL;
-}
-
-/* Remembers a key; the oldest goes when there are too many. */
-static enum err note_key(struct farm *f, const char *key, const digest *body, uint64_t job,
-                         int64_t at_us)
-{
-    struct idempotency *k = f->keys;
-    if (k->count >= KEYS_MAX) {
-        mem_free(k->items[0].key);
-        memmove(k->items, k->items + 1, --k->count * sizeof *k->items);
-    }
-    if (!mem_grow((void **)&k->items, k->count, &k->capacity, sizeof *k->items))
-        return ERR_NOMEM;
-    char *copy = mem_strdup(key);
-    if (!copy)
-        return ERR_NOMEM;
-    k->items[k->count].key = copy;
-    k->items[k->count].body = *body;
-    k->items[k->count].job = job;
-    k->items[k->count].at_us = at_us;
-    k->count++;
-    return ERR_OK;
 }
 
 /* --- News --------------------------------------------------------------- */
@@ -239,13 +194,33 @@ static void record_stored(void *ctx, enum err e)
     mem_free(s);
 }
 
+/* The scheduler's counts of the job, which it begins anew in each life. */
+static void add_counts(const struct farm *f, const struct job *job, struct job_stats *to)
+{
+    struct sched_job_info info;
+    if (!job->in_sched || !sched_job_info(f->sched, job->rec.id, &info))
+        return;
+    to->retried += info.retried;
+    to->speculated += info.speculated;
+    to->rejected += info.rejected;
+    to->verified += info.verified;
+}
+
+static uint64_t count_sum(const struct job_stats *s)
+{
+    return s->retried + s->speculated + s->rejected + s->verified;
+}
+
 static enum err store_record(struct farm *f, struct job *job, store_done *done, void *ctx)
 {
     struct storing *s = mem_alloc(sizeof *s);
     if (!s)
         return ERR_NOMEM;
     *s = (struct storing){f, job->rec.id, done, ctx};
-    enum err e = store_put_job(f->store, &job->rec, record_stored, s);
+    struct job_record record = job->rec;
+    add_counts(f, job, &record.stats);
+    job->counts_stored = count_sum(&record.stats);
+    enum err e = store_put_job(f->store, &record, record_stored, s);
     if (e != ERR_OK)
         mem_free(s);
     else
@@ -257,6 +232,19 @@ void jobs_store_record(struct farm *f, struct job *job)
 {
     if (store_record(f, job, NULL, NULL) != ERR_OK)
         job->record_dirty = true;
+}
+
+void jobs_keep_counts(struct farm *f)
+{
+    for (size_t i = 0; i < f->job_count; i++) {
+        struct job *job = f->jobs[i];
+        if (!job->in_sched)
+            continue;
+        struct job_stats now = job->rec.stats;
+        add_counts(f, job, &now);
+        if (count_sum(&now) != job->counts_stored)
+            jobs_store_record(f, job);
+    }
 }
 
 /* --- Making ------------------------------------------------------------- */
@@ -330,7 +318,7 @@ enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *do
     }
     f->job_next++;
     if (r->key) {
-        e = note_key(f, r->key, &r->body, job->rec.id, job->rec.created_us);
+        e = job_keys_note(f, r->key, &r->body, job->rec.id, job->rec.created_us);
         if (e == ERR_OK)
             e = store_put_key(f->store, r->key, &r->body, job->rec.id, job->rec.created_us);
     }
@@ -493,13 +481,7 @@ void jobs_leave_sched(struct farm *f, struct job *job)
     if (!job->in_sched)
         return;
     job->done_share = jobs_done_share(f, job);
-    struct sched_job_info info;
-    if (sched_job_info(f->sched, job->rec.id, &info)) {
-        job->rec.stats.retried += info.retried;
-        job->rec.stats.speculated += info.speculated;
-        job->rec.stats.rejected += info.rejected;
-        job->rec.stats.verified += info.verified;
-    }
+    add_counts(f, job, &job->rec.stats);
     job->in_sched = false;
     f->sched_jobs--;
     struct sched_event cancel = {.type = SCHED_JOB_CANCEL, .job = job->rec.id};
@@ -691,7 +673,7 @@ static enum err load_event(void *ctx, uint64_t job_id, int64_t at_us, const char
 static enum err load_key(void *ctx, const char *key, const digest *body, uint64_t job,
                          int64_t at_us)
 {
-    return note_key(ctx, key, body, job, at_us);
+    return job_keys_note(ctx, key, body, job, at_us);
 }
 
 /* What an earlier life left of one job's film. */
@@ -718,9 +700,6 @@ static enum err load_film(struct farm *f, struct job *job)
 enum err jobs_load(struct farm *f)
 {
     f->job_next = 1;
-    f->keys = mem_calloc(1, sizeof *f->keys);
-    if (!f->keys)
-        return ERR_NOMEM;
     uint64_t next;
     enum err e = store_load_value(f->store, "job_next", &next, sizeof next);
     struct store_visitor v = {f,        load_job,          load_event,
@@ -742,11 +721,7 @@ void jobs_release(struct farm *f)
     for (size_t i = 0; i < f->job_count; i++)
         job_free(f->jobs[i]);
     mem_free(f->jobs);
-    for (size_t i = 0; f->keys && i < f->keys->count; i++)
-        mem_free(f->keys->items[i].key);
-    if (f->keys)
-        mem_free(f->keys->items);
-    mem_free(f->keys);
+    job_keys_release(f);
 }
 
 /* --- Time --------------------------------------------------------------- */
@@ -785,6 +760,7 @@ void jobs_tick(struct farm *f)
             job_estimate(f, job);
         (void)expire(f, i);
     }
+    jobs_keep_counts(f);
     job_films_evict(f);
     sweep_chunks(f);
     if (f->admit_due)

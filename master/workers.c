@@ -409,10 +409,9 @@ static void join(struct farm *f, const struct worker *w, const tilery_Hello *h)
                                       .unit = {from->cell_begin, from->cell_count, from->block},
                                       .state = states[from->state]};
     }
-    struct sched_event event = {
-        .type = SCHED_WORKER_JOIN,
-        .worker = w->id,
-        .join = {.threads = w->threads, .held = held, .held_count = count}};
+    struct sched_event event = {.type = SCHED_WORKER_JOIN,
+                                .worker = w->id,
+                                .join = {.threads = w->threads, .held = held, .held_count = count}};
     farm_feed(f, &event);
 }
 
@@ -611,6 +610,7 @@ static void detach(struct farm *f, struct worker *w, enum err why)
     struct sched_event event = {.type = left ? SCHED_WORKER_LEFT : SCHED_WORKER_LOST,
                                 .worker = w->id};
     farm_feed(f, &event); /* answers with the news of it */
+    jobs_keep_counts(f);
 }
 
 static void on_close(void *ctx, struct conn *c, enum err why)

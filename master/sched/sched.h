@@ -385,11 +385,11 @@ struct sched_job_info {
      * was lost, late, set aside or a liar, left, or failed the unit. Not what the master took back
      * because it was not wanted any more, and no copies. */
     uint64_t retried;
-    uint64_t speculated;                      /* end-game copies leased */
-    uint64_t rejected;                        /* results ignored, or found to be lies */
-    uint64_t compared;                        /* results, or parts, that came twice */
-    uint64_t verified;                        /* checks settled */
-    uint64_t mismatched;                      /* checks in which someone lied */
+    uint64_t speculated; /* end-game copies leased */
+    uint64_t rejected;   /* results ignored, or found to be lies */
+    uint64_t compared;   /* results, or parts, that came twice */
+    uint64_t verified;   /* checks settled */
+    uint64_t mismatched; /* checks in which someone lied */
     uint64_t checks_open;
     uint64_t cells_reset;
     double thread_seconds; /* render time of the accepted results */

@@ -34,7 +34,7 @@ static uint32_t check_of_unit(const struct sched *s, const struct job *j, struct
 static void unbegun_take(struct sched *s, uint32_t worker, const struct job *j, struct unit u,
                          uint32_t *most)
 {
-    for (uint32_t i = 0; i < u.cell_count && *most > 0; i++) {
+    for (uint32_t i = 0; i<u.cell_count && * most> 0; i++) {
         uint32_t l = lease_of_spot(j, u.cell_begin + i, u.block);
         if (l == SLOT_NONE || s->leases[l].begun || !s->leases[l].solo ||
             s->leases[l].worker == worker || s->leases[l].suspect != SLOT_NONE)
@@ -136,8 +136,7 @@ void worker_adopt(struct sched *s, uint32_t worker, const struct sched_held *hel
         uint32_t lease = adopt(s, worker, h, &take);
         if (lease == SLOT_NONE) {
             /* A result is on its way all the same; it is taken or compared when it comes. */
-            if (h->state != SCHED_HELD_RESULT &&
-                slotmap_find(&s->lease_map, h->epoch) == SLOT_NONE)
+            if (h->state != SCHED_HELD_RESULT && slotmap_find(&s->lease_map, h->epoch) == SLOT_NONE)
                 sched_news_push(s, &(struct sched_action){.type = SCHED_REVOKE,
                                                           .worker = w->handle,
                                                           .job = h->job,
@@ -149,7 +148,7 @@ void worker_adopt(struct sched *s, uint32_t worker, const struct sched_held *hel
         if (wj->open)
             continue;
         worker_job_open(s, worker, wj);
-        sched_news_push(s, &(struct sched_action){
-                               .type = SCHED_OPEN_JOB, .worker = w->handle, .job = h->job});
+        sched_news_push(
+            s, &(struct sched_action){.type = SCHED_OPEN_JOB, .worker = w->handle, .job = h->job});
     }
 }

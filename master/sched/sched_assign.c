@@ -338,8 +338,7 @@ static uint32_t lease_copy(struct sched *s, uint32_t worker)
     for (uint32_t i = 0; i < s->job_rank_count; i++) {
         uint32_t job = s->job_rank[i];
         struct job *j = &s->jobs[job];
-        if (j->state != SCHED_ACTIVE || s->now_ms < j->quiet_until_ms ||
-            worker_barred(s, w, j->id))
+        if (j->state != SCHED_ACTIVE || s->now_ms < j->quiet_until_ms || worker_barred(s, w, j->id))
             continue;
         uint32_t check = check_to_take(s, worker, j), of = copy_candidate(s, worker, j);
         if ((check == SLOT_NONE && of == SLOT_NONE) || !worker_job_get(s, w, j->id))

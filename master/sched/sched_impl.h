@@ -60,9 +60,9 @@ struct job {
 
     /* The spots; tables in the caller's memory. */
     uint32_t cell_count, block_count;
-    uint32_t unit_ms; /* cap of a unit's aimed duration */
+    uint32_t unit_ms;        /* cap of a unit's aimed duration */
     uint64_t quiet_until_ms; /* nothing new is leased before */
-    bool open;        /* limits may change yet */
+    bool open;               /* limits may change yet */
     double cell_cost, verify_share;
     struct cellset_shape shape;
     uint32_t *owner;         /* [cell][block % SCHED_WINDOW], for open blocks */

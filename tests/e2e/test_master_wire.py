@@ -638,6 +638,29 @@ def test_leases_outlive_the_master(farm, job):
     assert report["samples"] == SIDE * SIDE * SPP
 
 
+def test_counts_of_units_outlive_the_master(farm, job):
+    """units.retried: leases that ended without a result, over all lives of the master."""
+    peer = Scripted(farm, instance=61).welcome()
+    peer.send("JobReady", job=1)
+    lease = peer.lease()
+    peer.send("UnitFailed", job=1, epoch=lease["epoch"], error="ERR_NOMEM", text="no memory")
+    wait_until(lambda: farm.job(job)["units"]["retried"] == 1, "a failed unit")
+    peer.drain_messages()
+    held_now = len(peer.leases)
+    peer.send("Goodbye", reason="test")
+    wait_until(lambda: farm.job(job)["units"]["retried"] == 1 + held_now, "what it left")
+    for _ in range(2):
+        farm.cli("pause", job)  # its row is stored after the count's
+        farm.kill_master()
+        farm.start_master()
+        assert farm.job(job)["units"]["retried"] == 1 + held_now
+    farm.cli("resume", job)
+    render_all(farm, Scripted(farm, instance=62).welcome(), job)
+    report = farm.job(job)
+    assert report["units"]["retried"] == 1 + held_now, report["units"]
+    assert report["units"]["speculated"] == report["units"]["verified"] == 0
+
+
 def test_held_leases_that_never_were(farm, job):
     """Nothing of what a Hello tells is believed; what is not so is revoked."""
     first = Scripted(farm, instance=81)

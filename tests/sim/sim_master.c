@@ -360,11 +360,11 @@ static void on_hello(struct sim *sim, uint32_t conn, const tilery_Hello *hello)
     if (book_lied(sim, handle))
         master_feed(sim, &(struct sched_event){
                              .type = SCHED_WORKER_PAST, .worker = handle, .past = {.lied = true}});
-    master_feed(sim, &(struct sched_event){
-                         .type = SCHED_WORKER_JOIN, .worker = handle,
-                         .join = {.threads = hello->threads,
-                                  .held = held,
-                                  .held_count = hello->held_count}});
+    master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_JOIN,
+                                           .worker = handle,
+                                           .join = {.threads = hello->threads,
+                                                    .held = held,
+                                                    .held_count = hello->held_count}});
     master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_RTT,
                                            .worker = handle,
                                            .rtt_us = 2 * (uint64_t)sim->c.latency_us});

@@ -309,8 +309,8 @@ static void told_gone(struct sim *sim, struct sim_worker *w)
 {
     for (uint32_t i = 0; i < w->told_count; i++)
         if (!holds(w, w->told[i].epoch))
-            say_unit_failed(
-                sim, w, &(struct sim_lease){.job = w->told[i].job, .epoch = w->told[i].epoch});
+            say_unit_failed(sim, w,
+                            &(struct sim_lease){.job = w->told[i].job, .epoch = w->told[i].epoch});
     w->told_count = 0;
 }
 

@@ -149,8 +149,9 @@ bool rig_job(struct rig *r, enum sched_event_type type, uint64_t job)
 
 bool rig_join(struct rig *r, uint64_t worker, uint32_t threads)
 {
-    return rig_feed(
-        r, &(struct sched_event){.type = SCHED_WORKER_JOIN, .worker = worker, .join = {.threads = threads}});
+    return rig_feed(r, &(struct sched_event){.type = SCHED_WORKER_JOIN,
+                                             .worker = worker,
+                                             .join = {.threads = threads}});
 }
 
 bool rig_ready(struct rig *r, uint64_t worker, uint64_t job)

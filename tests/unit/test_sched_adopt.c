@@ -62,11 +62,10 @@ static bool leased(uint32_t cell)
 
 static bool add_quiet(uint32_t cells, uint32_t quiet_ms)
 {
-    return rig_add_with(&rig, 1,
-                        (struct sched_job_add){.cell_count = cells,
-                                               .block_count = 1,
-                                               .cell_cost = 1000.0,
-                                               .quiet_ms = quiet_ms});
+    return rig_add_with(
+        &rig, 1,
+        (struct sched_job_add){
+            .cell_count = cells, .block_count = 1, .cell_cost = 1000.0, .quiet_ms = quiet_ms});
 }
 
 static void test_leases_outlive_the_master(void **state)
@@ -245,9 +244,9 @@ static void test_a_liar_brings_nothing(void **state)
 {
     (void)state;
     assert_true(rig_add(&rig, 1, 40, 1));
-    assert_true(rig_feed(&rig, &(struct sched_event){.type = SCHED_WORKER_PAST,
-                                                     .worker = 5,
-                                                     .past = {.lied = true}}));
+    assert_true(rig_feed(
+        &rig,
+        &(struct sched_event){.type = SCHED_WORKER_PAST, .worker = 5, .past = {.lied = true}}));
     const struct sched_held held = held_of(900, 0, 3, SCHED_HELD_BEGUN);
     assert_true(join(5, 1, &held, 1));
     assert_true(revoked(900));
