@@ -285,24 +285,36 @@ static void test_fast(void **state)
     check_fast(TRACE_INSTANCES, is_long ? 600 : 29);
 }
 
-/* --- Threads ----------------------------------------------------------------- */
+/* --- Builds ------------------------------------------------------------------ */
 
-static void test_threads_agree(void **state)
+static void check_same_tree(const struct accel *a, const struct accel *b)
+{
+    assert_int_equal(a->scene_tree.bytes, b->scene_tree.bytes);
+    assert_memory_equal(a->scene_tree.arena, b->scene_tree.arena, b->scene_tree.bytes);
+    assert_memory_equal(&a->stats, &b->stats, sizeof a->stats);
+}
+
+/* One tree, byte for byte, whatever the threads and the instruction set of the builder. */
+static void test_builds_agree(void **state)
 {
     (void)state;
-    struct trace_scene s;
-    assert_int_equal(trace_scene_make(&s, is_long ? TRACE_BALL1M : TRACE_BALL70K), ERR_OK);
-    struct accel *one = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
-    for (uint32_t threads = 2; threads <= 8; threads *= 2) {
-        struct accel_runner runner = kit_runner(threads);
-        struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, &runner);
-        assert_int_equal(a->scene_tree.bytes, one->scene_tree.bytes);
-        assert_memory_equal(a->scene_tree.arena, one->scene_tree.arena, one->scene_tree.bytes);
-        assert_memory_equal(&a->stats, &one->stats, sizeof a->stats);
-        accel_free(a);
+    const enum trace_scene_id scenes[] = {is_long ? TRACE_BALL1M : TRACE_BALL70K, TRACE_NEEDLES};
+    for (size_t i = 0; i < 2; i++) {
+        struct trace_scene s;
+        assert_int_equal(trace_scene_make(&s, scenes[i]), ERR_OK);
+        struct accel *one = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
+        struct accel *plain = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_SSE2, NULL);
+        check_same_tree(plain, one);
+        accel_free(plain);
+        for (uint32_t threads = 2; threads <= 8; threads *= 2) {
+            struct accel_runner runner = kit_runner(threads);
+            struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, &runner);
+            check_same_tree(a, one);
+            accel_free(a);
+        }
+        accel_free(one);
+        trace_scene_release(&s);
     }
-    accel_free(one);
-    trace_scene_release(&s);
 }
 
 /* --- Order of input ----------------------------------------------------------- */
@@ -538,7 +550,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_fast),
         cmocka_unit_test(test_fast_segments),
         cmocka_unit_test(test_fast_meets_not_itself),
-        cmocka_unit_test(test_threads_agree),
+        cmocka_unit_test(test_builds_agree),
         cmocka_unit_test(test_order_of_triangles),
         cmocka_unit_test(test_no_leak),
         cmocka_unit_test(test_nothing_and_nonsense),

@@ -1,5 +1,6 @@
 #include "worker/render/accel.h"
 
+#include <emmintrin.h>
 #include <math.h>
 #include <string.h>
 
@@ -21,24 +22,27 @@ static float round_up(double x)
     return -round_down(-x);
 }
 
-static void triangle_vertices(const struct accel_mesh *m, uint32_t triangle, float v[3][3])
+static inline __m128 vertex_load(const struct accel_mesh *m, uint32_t vertex)
 {
-    for (size_t i = 0; i < 3; i++) {
-        size_t vertex = m->indices[3 * (size_t)triangle + i];
-        memcpy(v[i], &m->positions[3 * vertex], sizeof v[i]);
-    }
+    const float *p = &m->positions[3 * (size_t)vertex];
+    __m128 xy = _mm_castpd_ps(_mm_load_sd((const double *)(const void *)p));
+    return _mm_movelh_ps(xy, _mm_load_ss(&p[2]));
 }
 
-static void triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out)
+/* The fourth of each is 0. */
+static inline void triangle_vertices(const struct accel_mesh *m, uint32_t triangle, float v[3][4])
 {
-    float v[3][3];
-    triangle_vertices(m, triangle, v);
-    for (int k = 0; k < 3; k++) {
-        float low = v[0][k] < v[1][k] ? v[0][k] : v[1][k];
-        float high = v[0][k] < v[1][k] ? v[1][k] : v[0][k];
-        out->lo[k] = low < v[2][k] ? low : v[2][k];
-        out->hi[k] = high > v[2][k] ? high : v[2][k];
-    }
+    for (size_t i = 0; i < 3; i++)
+        _mm_storeu_ps(v[i], vertex_load(m, m->indices[3 * (size_t)triangle + i]));
+}
+
+static inline void triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out)
+{
+    const uint32_t *index = &m->indices[3 * (size_t)triangle];
+    __m128 a = vertex_load(m, index[0]), b = vertex_load(m, index[1]);
+    __m128 c = vertex_load(m, index[2]);
+    _mm_store_ps(out->lo, _mm_min_ps(_mm_min_ps(a, b), c));
+    _mm_store_ps(out->hi, _mm_max_ps(_mm_max_ps(a, b), c));
 }
 
 /* A sphere's box, widened by what rounding may move a hit near its silhouette. */
@@ -99,32 +103,43 @@ static void lopsided_widen(const struct accel_object *objects, struct bvh_ref *r
     }
 }
 
-/* The box of all references and its reach, which the answers depend on: the same with any
- * builder. */
-static void tree_measure(const struct bvh_ref *refs, size_t count, struct bvh *out)
+/* What the answers depend on, the box of all references and its reach: the same with any
+ * builder. And the largest extent of a triangle. */
+static void tree_measure(const struct bvh_ref *refs, size_t count, struct bvh *out, float *edge)
 {
+    __m128 low = _mm_set1_ps(count ? __FLT_MAX__ : 0.0f), high = _mm_sub_ps(_mm_setzero_ps(), low);
+    __m128 most = _mm_setzero_ps();
+    for (size_t i = 0; i < count; i++) {
+        __m128 lo = _mm_load_ps(refs[i].lo), hi = _mm_load_ps(refs[i].hi);
+        low = _mm_min_ps(lo, low);
+        high = _mm_max_ps(hi, high);
+        if (!(refs[i].primitive & BVH_REF_OBJECT))
+            most = _mm_max_ps(_mm_sub_ps(hi, lo), most);
+    }
+    float lows[4], highs[4], extents[4];
+    _mm_storeu_ps(lows, low);
+    _mm_storeu_ps(highs, high);
+    _mm_storeu_ps(extents, most);
+    *edge = 0.0f;
     for (int k = 0; k < 3; k++) {
-        float low = count ? refs[0].lo[k] : 0.0f, high = count ? refs[0].hi[k] : 0.0f;
-        for (size_t i = 1; i < count; i++) {
-            low = refs[i].lo[k] < low ? refs[i].lo[k] : low;
-            high = refs[i].hi[k] > high ? refs[i].hi[k] : high;
-        }
-        out->lo[k] = low;
-        out->hi[k] = high;
-        out->reach = exact_max(out->reach, exact_max(fabs((double)low), fabs((double)high)));
+        out->lo[k] = lows[k];
+        out->hi[k] = highs[k];
+        out->reach =
+            exact_max(out->reach, exact_max(fabs((double)lows[k]), fabs((double)highs[k])));
+        *edge = extents[k] > *edge ? extents[k] : *edge;
     }
 }
 
 /* --- Building ------------------------------------------------------------- */
 
-static void scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][3])
+static void scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
 {
     const struct accel *a = ctx;
     const struct accel_object *o = &a->objects[ref->owner];
     triangle_vertices(&a->meshes[o->mesh], ref->primitive - a->triangle_first[ref->owner], out);
 }
 
-static void mesh_vertices(void *ctx, const struct bvh_ref *ref, float out[3][3])
+static void mesh_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
 {
     const struct accel *a = ctx;
     triangle_vertices(&a->meshes[ref->owner], ref->primitive, out);
@@ -165,14 +180,14 @@ static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
                            struct bvh *out)
 {
     struct bvh box = {0}, made = {.root = BVH_EMPTY};
+    struct bvh_how how = {a->options.builder == JOB_BUILDER_MEDIAN, a->options.isa, 0.0f, runner};
     enum err err = ERR_OK;
-    tree_measure(refs, count, &box);
+    tree_measure(refs, count, &box, &how.edge);
     lopsided_widen(a->objects, refs, count);
     if (a->options.builder == JOB_BUILDER_NONE)
         mem_free(refs);
     else
-        err = bvh_new(refs, count, a->options.builder == JOB_BUILDER_MEDIAN, runner, vertices, a,
-                      &made);
+        err = bvh_new(refs, count, &how, vertices, a, &made);
     if (err)
         return err;
     memcpy(made.lo, box.lo, sizeof box.lo);
@@ -443,6 +458,14 @@ static void leaf_vertices(const struct bvh_leaf *leaf, uint32_t lane, float v[3]
             v[i][k] = leaf->v[i][k][lane];
 }
 
+static void mesh_triangle(const struct accel_mesh *m, uint32_t triangle, float v[3][3])
+{
+    float wide[3][4];
+    triangle_vertices(m, triangle, wide);
+    for (int i = 0; i < 3; i++)
+        memcpy(v[i], wide[i], sizeof v[i]);
+}
+
 /* `ray` is in the space of the vertices, and read only when the best hit has no leaf. */
 static void triangle_hit(const struct accel *a, const struct trace_ray *ray, const float v[3][3],
                          const struct trace_best *best, struct hit *out)
@@ -499,7 +522,7 @@ void accel_hit(const struct accel *a, const struct trace_ray *ray, const struct 
     if (best->leaf) /* still in cache, which the mesh may not be */
         leaf_vertices(best->leaf, best->lane, v);
     else
-        triangle_vertices(&a->meshes[o->mesh], out->primitive, v);
+        mesh_triangle(&a->meshes[o->mesh], out->primitive, v);
     struct trace_ray inner;
     double rescale;
     if (!best->leaf && o->type == ACCEL_INSTANCE &&

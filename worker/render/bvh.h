@@ -71,15 +71,22 @@ struct bvh {
     double sah_cost;
 };
 
-/* Writes the nine coordinates of a triangle, [vertex][axis]. */
-typedef void (*bvh_vertices_fn)(void *ctx, const struct bvh_ref *ref, float out[3][3]);
+/* Writes the nine coordinates of a triangle, [vertex][axis]; the fourth of each may be anything. */
+typedef void (*bvh_vertices_fn)(void *ctx, const struct bvh_ref *ref, float out[3][4]);
 
-/* Builds over refs[0..count), as bvh2_build takes them. `median`: split at the object median of
- * the longest axis, else by the surface area heuristic. ERR_NOMEM; ERR_LIMIT: over
+/* How to build. The tree depends on `median` alone. */
+struct bvh_how {
+    bool median;        /* split at the object median of the longest axis, else by the surface
+                           area heuristic */
+    enum accel_isa isa; /* the widest to be used */
+    float edge;         /* the largest extent of a triangle along any axis */
+    const struct accel_runner *runner;
+};
+
+/* Builds over refs[0..count), as bvh2_build takes them. ERR_NOMEM; ERR_LIMIT: over
  * BVH_PRIMITIVES_MAX or too large for the arena's references. */
-TL_NODISCARD enum err bvh_new(struct bvh_ref *refs, size_t count, bool median,
-                              const struct accel_runner *runner, bvh_vertices_fn vertices,
-                              void *ctx, struct bvh *out);
+TL_NODISCARD enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
+                              bvh_vertices_fn vertices, void *ctx, struct bvh *out);
 void bvh_release(struct bvh *b);
 
 /* --- The binary tree between the two steps ------------------------------- */
@@ -107,8 +114,8 @@ struct bvh2 {
 
 /* Takes refs[0..count), count > 0, allocated by bvh_alloc; frees them whatever happens or
  * hands them on in out->refs. */
-TL_NODISCARD enum err bvh2_build(struct bvh_ref *refs, uint32_t count, bool median,
-                                 const struct accel_runner *runner, struct bvh2 *out);
+TL_NODISCARD enum err bvh2_build(struct bvh_ref *refs, uint32_t count, const struct bvh_how *how,
+                                 struct bvh2 *out);
 void bvh2_release(struct bvh2 *b);
 
 /* Memory for the tables of a tree: big ones in huge pages. */

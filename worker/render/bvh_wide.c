@@ -2,6 +2,7 @@
  * chosen by dynamic programming over the surface area cost. */
 #include "worker/render/bvh.h"
 
+#include <emmintrin.h>
 #include <string.h>
 
 #include "common/mem.h"
@@ -29,28 +30,49 @@ static float half_area(const struct bvh2_node *n)
     return x * y + (y * z + z * x);
 }
 
+/* Takes over the cost, and the number of slots it goes with, where it is less. */
+static inline void lanes_offer(__m128 cost, int slots, __m128 *least, __m128i *best)
+{
+    __m128i less = _mm_castps_si128(_mm_cmplt_ps(cost, *least));
+    *least = _mm_min_ps(cost, *least);
+    *best = _mm_or_si128(_mm_and_si128(less, _mm_set1_epi32(slots)), _mm_andnot_si128(less, *best));
+}
+
+/* The least cost when two children share 2..8 slots, and how many the left one gets then: all
+ * shares at once, one number of slots for the left one after the other. */
+static void share(const struct choice *left, const struct choice *right, float shared[BVH_WIDTH],
+                  uint32_t best[BVH_WIDTH])
+{
+    const __m128 none = _mm_setr_ps(__builtin_inff(), 0.0f, 0.0f, 0.0f);
+    __m128i low = _mm_castps_si128(_mm_loadu_ps(right->cost));
+    __m128i high = _mm_castps_si128(_mm_loadu_ps(right->cost + 4));
+    __m128 least[2] = {_mm_set1_ps(__builtin_inff()), _mm_set1_ps(__builtin_inff())};
+    __m128i taken[2] = {_mm_set1_epi32(1), _mm_set1_epi32(1)};
+    for (int l = 1; l < BVH_WIDTH; l++) {
+        high = _mm_or_si128(_mm_slli_si128(high, 4), _mm_srli_si128(low, 12));
+        low = _mm_or_si128(_mm_slli_si128(low, 4), _mm_castps_si128(none));
+        __m128 cost = _mm_set1_ps(left->cost[l - 1]);
+        lanes_offer(_mm_add_ps(cost, _mm_castsi128_ps(low)), l, &least[0], &taken[0]);
+        lanes_offer(_mm_add_ps(cost, _mm_castsi128_ps(high)), l, &least[1], &taken[1]);
+    }
+    for (int i = 0; i < 2; i++) {
+        _mm_storeu_ps(&shared[4 * i], least[i]);
+        _mm_storeu_si128((__m128i *)&best[4 * i], taken[i]);
+    }
+}
+
 static void choose(const struct bvh2_node *node, const struct choice *left,
                    const struct choice *right, struct choice *out)
 {
     float shared[BVH_WIDTH];
-    uint8_t best[BVH_WIDTH] = {0};
-    for (int slots = 2; slots <= BVH_WIDTH; slots++) {
-        float least = __FLT_MAX__;
-        for (int l = 1; l < slots; l++) {
-            float cost = left->cost[l - 1] + right->cost[slots - l - 1];
-            if (cost < least || l == 1) {
-                least = cost;
-                best[slots - 1] = (uint8_t)l;
-            }
-        }
-        shared[slots - 1] = least;
-    }
+    uint32_t best[BVH_WIDTH];
+    share(left, right, shared, best);
     out->cost[0] = half_area(node) * NODE_COST + shared[BVH_WIDTH - 1];
-    out->left[0] = best[BVH_WIDTH - 1];
+    out->left[0] = (uint8_t)best[BVH_WIDTH - 1];
     for (int i = 1; i < BVH_WIDTH; i++) {
         bool better = shared[i] < out->cost[i - 1];
         out->cost[i] = better ? shared[i] : out->cost[i - 1];
-        out->left[i] = better ? best[i] : 0;
+        out->left[i] = (uint8_t)(better ? best[i] : 0);
     }
 }
 
@@ -213,12 +235,12 @@ static uint32_t bits_of(float f)
 /* The least code whose value is at least the largest extent of the triangles. */
 static uint32_t edge_code(const struct bvh_ref *refs, uint32_t count, uint32_t unit_bits)
 {
-    float edge = 0.0f;
+    __m128 most = _mm_setzero_ps();
     for (uint32_t i = 0; i < count; i++)
-        for (int k = 0; k < 3; k++) {
-            float extent = refs[i].hi[k] - refs[i].lo[k];
-            edge = extent > edge ? extent : edge;
-        }
+        most = _mm_max_ps(_mm_sub_ps(_mm_load_ps(refs[i].hi), _mm_load_ps(refs[i].lo)), most);
+    most = _mm_max_ps(most, _mm_shuffle_ps(most, most, _MM_SHUFFLE(3, 0, 2, 1)));
+    most = _mm_max_ss(most, _mm_shuffle_ps(most, most, _MM_SHUFFLE(2, 2, 2, 2)));
+    float edge = _mm_cvtss_f32(most);
     uint32_t bits = bits_of(edge * (1.0f + 0x1p-22f));
     if (bits <= unit_bits)
         return 0;
@@ -230,14 +252,19 @@ static void write_leaf(const struct writer *w, const struct bvh2_node *from, str
 {
     const struct bvh_ref *refs = &w->planner->refs[from->left & ~BVH2_LEAF];
     uint32_t code = edge_code(refs, from->right, w->edge_bits);
+    float v[BVH_BLOCK][3][4] __attribute__((aligned(16)));
     for (uint32_t lane = 0; lane < BVH_BLOCK; lane++) {
         const struct bvh_ref *ref = &refs[lane < from->right ? lane : from->right - 1];
-        float v[3][3];
-        w->vertices(w->ctx, ref, v);
-        for (int i = 0; i < 3; i++)
-            for (int k = 0; k < 3; k++)
-                leaf->v[i][k][lane] = v[i][k];
+        w->vertices(w->ctx, ref, v[lane]);
         leaf->id[lane] = ref->primitive | (code >> lane & 1) << 31 | (code >> (4 + lane) & 1) << 30;
+    }
+    for (int i = 0; i < 3; i++) {
+        __m128 x = _mm_load_ps(v[0][i]), y = _mm_load_ps(v[1][i]);
+        __m128 z = _mm_load_ps(v[2][i]), unused = _mm_load_ps(v[3][i]);
+        _MM_TRANSPOSE4_PS(x, y, z, unused);
+        _mm_store_ps(leaf->v[i][0], x);
+        _mm_store_ps(leaf->v[i][1], y);
+        _mm_store_ps(leaf->v[i][2], z);
     }
 }
 
@@ -245,16 +272,22 @@ static void write_node(const struct writer *w, const struct plan *plan)
 {
     struct bvh_node *node =
         (struct bvh_node *)(w->out->arena + (size_t)plan->unit * BVH_UNIT_BYTES);
-    for (uint32_t i = 0; i < BVH_WIDTH; i++) {
-        bool used = i < plan->count;
-        const struct bvh2_node *child = used ? &w->planner->nodes[plan->child[i]] : NULL;
+    for (uint32_t i = 0; i < plan->count; i++) {
+        const struct bvh2_node *child = &w->planner->nodes[plan->child[i]];
         for (int k = 0; k < 3; k++) {
-            node->bounds[2 * k][i] = used ? child->lo[k] : __builtin_inff();
-            node->bounds[2 * k + 1][i] = used ? child->hi[k] : -__builtin_inff();
+            node->bounds[2 * k][i] = child->lo[k];
+            node->bounds[2 * k + 1][i] = child->hi[k];
         }
-        node->child[i] = used ? plan->offset[i] : BVH_EMPTY;
-        if (used && is_leaf(child) && (plan->offset[i] & 3) == BVH_LEAF)
+        node->child[i] = plan->offset[i];
+        if ((plan->offset[i] & 3) == BVH_LEAF)
             write_leaf(w, child, (struct bvh_leaf *)bvh_leaf_at(w->out->arena, plan->offset[i]));
+    }
+    for (uint32_t i = plan->count; i < BVH_WIDTH; i++) {
+        for (int k = 0; k < 3; k++) {
+            node->bounds[2 * k][i] = __builtin_inff();
+            node->bounds[2 * k + 1][i] = -__builtin_inff();
+        }
+        node->child[i] = BVH_EMPTY;
     }
 }
 
@@ -274,18 +307,9 @@ static void measure(const struct planner *p, struct bvh *out)
 }
 
 /* The unit of the edge code: its largest code covers the largest extent of all. */
-static uint32_t edge_unit_bits(const struct bvh_ref *refs, uint32_t count)
+static uint32_t edge_unit_bits(float edge)
 {
     const uint32_t smallest = 0x00800000, span = (uint32_t)(EDGE_CODES - 1) << EDGE_SHIFT;
-    float edge = 0.0f;
-    for (uint32_t i = 0; i < count; i++) {
-        if (refs[i].primitive & BVH_REF_OBJECT)
-            continue;
-        for (int k = 0; k < 3; k++) {
-            float extent = refs[i].hi[k] - refs[i].lo[k];
-            edge = extent > edge ? extent : edge;
-        }
-    }
     uint32_t bits = bits_of(edge * (1.0f + 0x1p-21f));
     return bits > span + smallest ? bits - span : smallest;
 }
@@ -298,7 +322,7 @@ static void write_some(void *arg, size_t index)
         write_node(w, &w->planner->plans[i]);
 }
 
-static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *runner,
+static enum err wide_build(const struct bvh2 *tree, const struct bvh_how *how,
                            bvh_vertices_fn vertices, void *ctx, struct bvh *out)
 {
     enum err err = ERR_NOMEM;
@@ -307,7 +331,7 @@ static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *r
     choosing.choices = mem_alloc_aligned(tree->node_limit * sizeof *choosing.choices, 64);
     if (!choosing.choices)
         goto done;
-    bvh_run(runner, tree->run_count - 1, choose_task, &choosing);
+    bvh_run(how->runner, tree->run_count - 1, choose_task, &choosing);
     choose_run(&choosing, 0);
     p.choices = choosing.choices;
     err = plan_all(&p);
@@ -318,8 +342,8 @@ static enum err wide_build(const struct bvh2 *tree, const struct accel_runner *r
     err = out->arena ? ERR_OK : ERR_NOMEM;
     if (err)
         goto done;
-    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(tree->refs, tree->ref_count)};
-    bvh_run(runner, (p.count + PLANS_PER_TASK - 1) / PLANS_PER_TASK, write_some, &w);
+    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(how->edge)};
+    bvh_run(how->runner, (p.count + PLANS_PER_TASK - 1) / PLANS_PER_TASK, write_some, &w);
     out->root = 0 << BVH_KIND_BITS | BVH_NODE;
     out->edge_unit = float_of(w.edge_bits);
     measure(&p, out);
@@ -329,7 +353,7 @@ done:
     return err;
 }
 
-enum err bvh_new(struct bvh_ref *refs, size_t count, bool median, const struct accel_runner *runner,
+enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
                  bvh_vertices_fn vertices, void *ctx, struct bvh *out)
 {
     *out = (struct bvh){.root = BVH_EMPTY};
@@ -338,10 +362,10 @@ enum err bvh_new(struct bvh_ref *refs, size_t count, bool median, const struct a
         return count ? ERR_LIMIT : ERR_OK;
     }
     struct bvh2 tree;
-    enum err err = bvh2_build(refs, (uint32_t)count, median, runner, &tree);
+    enum err err = bvh2_build(refs, (uint32_t)count, how, &tree);
     if (err)
         return err;
-    err = wide_build(&tree, runner, vertices, ctx, out);
+    err = wide_build(&tree, how, vertices, ctx, out);
     bvh2_release(&tree);
     return err;
 }

@@ -6,6 +6,8 @@ set(trace_sources
   ${trace_dir}/accel.c
   ${trace_dir}/accel_trees.c
   ${trace_dir}/bvh_build.c
+  ${trace_dir}/bvh_split_avx2.c
+  ${trace_dir}/bvh_split_sse2.c
   ${trace_dir}/bvh_wide.c
   ${trace_dir}/trace.c
   ${trace_dir}/trace_avx2.c
@@ -23,5 +25,6 @@ set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/trace.c ${trace_di
   ${trace_dir}/trace_sse2_fast.c PROPERTIES COMPILE_OPTIONS "${trace_fast}")
 set_source_files_properties(${trace_dir}/trace_avx2.c ${trace_dir}/trace_avx2_fast.c PROPERTIES
   COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags}")
+set_source_files_properties(${trace_dir}/bvh_split_avx2.c PROPERTIES COMPILE_OPTIONS -mavx2)
 set_source_files_properties(${trace_dir}/trace_avx512.c ${trace_dir}/trace_avx512_fast.c PROPERTIES
   COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags};-mavx512f;-mavx512vl")
