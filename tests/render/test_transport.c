@@ -271,6 +271,45 @@ static void test_t20_sharing(void **state)
     scene_release(&s);
 }
 
+/* Rays of a picture with paths that share over those without. */
+static double rays_of_sharing(const struct scene *s)
+{
+    struct job_spec spec = kit_spec(24, 16);
+    spec.max_depth = 6;
+    double rays[2];
+    for (int k = 0; k < 2; k++) {
+        spec.profile = k ? JOB_PROFILE_MIS : JOB_PROFILE_NEE;
+        struct kit_picture p = kit_render(s, &spec, 0);
+        rays[k] = (double)p.counters.rays;
+        kit_picture_free(&p);
+    }
+    return rays[1] / rays[0];
+}
+
+/* Shadow rays for sharing are cast in a box full of light between walls, not on a dark stage under
+ * a sky. */
+static void sharing_where_it_pays(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_cornell(&s, KIT_BOXES | KIT_AREA_LIGHT);
+    double box = rays_of_sharing(&s);
+    scene_release(&s);
+    scene_init(&s);
+    static const double floor[12] = {-4, 0, 4, 4, 0, 4, 4, 0, -4, -4, 0, -4};
+    uint32_t grey = kit_diffuse(&s, 0.3, 0.3, 0.3);
+    kit_quad(&s, floor, grey);
+    kit_sphere(&s, 0, 0.5, 0, 0.5, grey);
+    kit_constant_sky(&s, 1);
+    look(&s, 0, 1, 5, 45);
+    double open = rays_of_sharing(&s);
+    scene_release(&s);
+    print_message("rays with sharing over those without: box %.2f, open stage %.2f\n", box, open);
+    assert_true(box > 1.3);
+    assert_true(open < 1.05);
+}
+
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
@@ -282,6 +321,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_t20_profiles_in_the_box),
         cmocka_unit_test(test_t20_profiles_on_metal),
         cmocka_unit_test(test_t20_sharing),
+        cmocka_unit_test(sharing_where_it_pays),
     };
     return ROWS_RUN(argc, argv, tests);
 }

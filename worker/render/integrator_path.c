@@ -169,6 +169,9 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     struct path *path = &w->paths[index];
     const struct hit *hit = &w->hits[from];
     vec3 dir = v3_of(w->rays[from].dir);
+    bool reuse = wave_group_side(scene) > 1, arrives = reuse && w->reuse[index].state == REUSE_LEFT;
+    if (arrives)
+        reuse_land(w, index);
     if (hit->object == SCENE_NONE) {
         add_environment(scene, path, dir);
         return false;
@@ -179,8 +182,7 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     if (scene->objects[hit->object].light_begin != SCENE_NONE)
         add_emission(scene, path, hit, &at.surface, dir, footprint);
     const struct material *m = at.bsdf.material;
-    bool reuse = wave_group_side(scene) > 1;
-    if (reuse && w->reuse[index].state == REUSE_LEFT)
+    if (arrives)
         reuse_arrive(w, index, &at, dir);
     if (depth >= depth_max || m->type == SCENE_MATERIAL_BLACK)
         return false;

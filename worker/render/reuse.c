@@ -5,11 +5,16 @@
 /* Normals further apart than this (cosine) do not share: their pdfs have little in common. */
 static const double SIMILAR_COSINE = 0.5;
 
-/* Roulette behind a y that is shared looks at no less than this: others may want it more. */
-static const double CARRIED_MIN = 0.05;
+/* Roulette behind a y that may be shared takes this for the throughput up to there, whoever found
+ * it: what is shared depends on the light that the y sends, and that must not depend on the path.
+ */
+static const double CARRIED = 0.5;
 
-/* A part of the mean radiance of a group's y below which they play roulette. */
+/* A part of the mean radiance of a group's shared y below which they play roulette. */
 static const double WORTH_SHARING = 0.5;
+
+/* Light that is less than this, beside the direct light, is not shared. */
+static const double WORTH_BESIDE_DIRECT = 1;
 
 bool reuse_wanted(const struct render_scene *scene)
 {
@@ -25,6 +30,11 @@ void reuse_leave(struct render_scratch *w, uint32_t index, const struct shade *x
     r->depth = depth;
     r->x = *x;
     r->beta_x = w->paths[index].beta;
+}
+
+void reuse_land(struct render_scratch *w, uint32_t index)
+{
+    w->reuse[index].direct = w->paths[index].radiance;
 }
 
 /* True if light going out from y along `w` is what was found there: on the same side of both
@@ -55,8 +65,7 @@ void reuse_arrive(struct render_scratch *w, uint32_t index, const struct shade *
     r->pdf = path->pdf * cosine / v3_dot(d, d);
     r->beta = path->beta;
     r->radiance = path->radiance;
-    path->carried = rgb_max(path->beta);
-    path->carried = path->carried > CARRIED_MIN ? path->carried : CARRIED_MIN;
+    path->carried = CARRIED;
     path->beta = rgb_grey(1);
     path->radiance = rgb_grey(0);
 }
@@ -116,14 +125,37 @@ static void connect(struct reuse_connections *c, const struct reuse *reuse, uint
     ray->tmax = 1;
 }
 
-/* Roulette among the y of a group: one that sends out less than its part of the mean is not worth
- * the shadow rays to it, and makes up for that when it stays. */
+/* Keeps from the others the y that send little beside the direct light of the group. */
+static void keep_small(struct render_scratch *w, uint32_t begin, uint32_t end)
+{
+    double direct = 0, reflected = 0;
+    for (uint32_t i = begin; i < end; i++) {
+        const struct reuse *r = &w->reuse[i];
+        if (r->state == REUSE_NONE)
+            continue;
+        direct += rgb_luminance(r->direct);
+        reflected += rgb_luminance(rgb_mul(r->beta_x, r->x.bsdf.color));
+    }
+    for (uint32_t i = begin; i < end; i++) {
+        double sent = rgb_luminance(w->paths[i].radiance) * reflected;
+        w->reuse[i].kept = !(sent > WORTH_BESIDE_DIRECT * direct);
+    }
+}
+
+/* True if the y of a path is there for the others. */
+static bool is_shared(const struct reuse *r)
+{
+    return r->state == REUSE_FOUND && !r->kept;
+}
+
+/* Roulette among the shared y of a group: one that sends out less than its part of the mean is not
+ * worth the shadow rays to it, and makes up for that when it stays. */
 static void thin_out(struct render_scratch *w, uint32_t begin, uint32_t end)
 {
     double sum = 0;
     uint32_t count = 0;
     for (uint32_t i = begin; i < end; i++) {
-        if (w->reuse[i].state != REUSE_FOUND)
+        if (!is_shared(&w->reuse[i]))
             continue;
         sum += rgb_luminance(w->paths[i].radiance);
         count++;
@@ -132,7 +164,7 @@ static void thin_out(struct render_scratch *w, uint32_t begin, uint32_t end)
     for (uint32_t i = begin; i < end; i++) {
         struct path *path = &w->paths[i];
         double luminance = rgb_luminance(path->radiance);
-        if (w->reuse[i].state != REUSE_FOUND || !(luminance < threshold))
+        if (!is_shared(&w->reuse[i]) || !(luminance < threshold))
             continue;
         double u[SAMPLER_SET_VALUES], stays = luminance / threshold;
         sampler_set(&path->sampler, WAVE_SET_SHARE, u);
@@ -145,10 +177,11 @@ static void connect_group(struct render_scratch *w, uint32_t begin, uint32_t end
 {
     uint32_t cluster[WAVE_GROUP_PATHS];
     make_clusters(w->reuse + begin, end - begin, cluster);
+    keep_small(w, begin, end);
     if (end - begin > 1)
         thin_out(w, begin, end);
     for (uint32_t to = begin; to < end; to++) {
-        if (w->reuse[to].state != REUSE_FOUND || rgb_is_black(w->paths[to].radiance))
+        if (!is_shared(&w->reuse[to]) || rgb_is_black(w->paths[to].radiance))
             continue;
         for (uint32_t from = begin; from < end; from++) {
             if (from != to && cluster[from - begin] == cluster[to - begin])

@@ -9,6 +9,10 @@
  *
  * Paths share within a cluster: those whose x lie on the same object at the same depth
  * with similar normals. Clusters depend on the x alone, never on the y.
+ *
+ * Where direct light is most of a picture, that costs more than it gains: a y is shared only if the
+ * light that it sends is more than the direct light about the x, else its path keeps it.
+ * Either estimate has the same mean, and the bound knows nothing of any y.
  */
 #ifndef WORKER_RENDER_REUSE_H
 #define WORKER_RENDER_REUSE_H
@@ -29,11 +33,13 @@ struct reuse {
     uint32_t depth; /* edges up to x */
     struct shade x;
     rgb beta_x; /* throughput up to x */
+    rgb direct; /* what the path had gathered when the ray from x arrived */
     /* The rest from REUSE_FOUND on. */
     rgb beta;       /* throughput up to y */
     rgb radiance;   /* what the path had gathered before y */
     vec3 y, ng, ns; /* of y; the normals are on the side that the light goes out from */
     double error;
+    bool kept;      /* worth too little to the others for their shadow rays */
     double pdf;     /* with which this path drew y, per area */
     double pdf_sum; /* and that of all paths of the cluster that see y */
     rgb shared;     /* the light that leaves y, over pdf_sum */
@@ -56,6 +62,9 @@ bool reuse_wanted(const struct render_scene *scene);
 
 /* Tells that path `index` is about to draw a direction at its first vertex with a density. */
 void reuse_leave(struct render_scratch *w, uint32_t index, const struct shade *x, uint32_t depth);
+
+/* Tells that the ray from there has been cast, before anything is added for what it met. */
+void reuse_land(struct render_scratch *w, uint32_t index);
 
 /* Tells that it has arrived from there, in direction `dir`, after emission was added. */
 void reuse_arrive(struct render_scratch *w, uint32_t index, const struct shade *y, vec3 dir);
