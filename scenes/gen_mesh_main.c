@@ -1,6 +1,6 @@
 /* gen_mesh: writes a generated mesh as a binary PLY.
  *
- *   gen_mesh ball SIDE BUMPS FILE.ply       12 * SIDE^2 triangles
+ *   gen_mesh ball SIDE BUMPS [SEED] FILE.ply   12 * SIDE^2 triangles
  *   gen_mesh needles COUNT WIDTH FILE.ply
  *   gen_mesh cornell|room FILE.ply
  */
@@ -15,11 +15,11 @@ enum { SIDE_MAX = 4096 };
 static enum err make(struct gen_mesh *m, int argc, char **argv)
 {
     const double origin[3] = {0, 0, 0};
-    if (argc == 5 && strcmp(argv[1], "ball") == 0) {
-        long side = strtol(argv[2], NULL, 10);
-        if (side < 1 || side > SIDE_MAX)
+    if ((argc == 5 || argc == 6) && strcmp(argv[1], "ball") == 0) {
+        long side = strtol(argv[2], NULL, 10), seed = argc == 6 ? strtol(argv[4], NULL, 10) : 1;
+        if (side < 1 || side > SIDE_MAX || seed < 0 || seed > INT32_MAX)
             return ERR_USAGE;
-        return gen_ball(m, (uint32_t)side, origin, 0.7, strtod(argv[3], NULL), 1);
+        return gen_ball(m, (uint32_t)side, origin, 0.7, strtod(argv[3], NULL), (uint32_t)seed);
     }
     if (argc == 5 && strcmp(argv[1], "needles") == 0) {
         long count = strtol(argv[2], NULL, 10);
@@ -54,7 +54,7 @@ int main(int argc, char **argv)
     enum err err = make(&mesh, argc, argv);
     if (err) {
         fprintf(stderr,
-                "gen_mesh: %s\nusage: gen_mesh ball SIDE BUMPS FILE | needles COUNT WIDTH "
+                "gen_mesh: %s\nusage: gen_mesh ball SIDE BUMPS [SEED] FILE | needles COUNT WIDTH "
                 "FILE | cornell FILE | room FILE\n",
                 err_text(err));
         gen_mesh_release(&mesh);

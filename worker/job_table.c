@@ -13,7 +13,7 @@ struct job_table {
     struct outlet outlet;
     struct job_table_handlers handlers;
     void *ctx;
-    uint64_t scene_bytes, scene_bytes_max;
+    uint64_t scene_bytes_max;
     uint64_t clock; /* counts uses */
     uint32_t count;
     TAILQ_HEAD(, worker_job) jobs;
@@ -21,11 +21,33 @@ struct job_table {
 
 /* --- Scenes and memory -------------------------------------------------------------- */
 
-static void drop_scene(struct job_table *t, struct worker_job *job)
+/* How many of the trees that wait for a ray have met one. */
+static void log_trees(const struct worker_job *job)
 {
-    TL_ASSERT(job->state == WORKER_JOB_READY && t->scene_bytes >= job->loaded.scene_bytes);
-    if (render_scene_free(job->loaded.scene)) /* else other jobs still share it */
-        t->scene_bytes -= job->loaded.scene_bytes;
+    struct accel_stats stats;
+    render_scene_stats(job->loaded.scene, &stats);
+    if (stats.lazy_count > 0)
+        log_info(
+            "job", "trees met by rays job=%" PRIu64 " built=%" PRIu64 " of=%" PRIu64 " bytes=%zu",
+            job->id, stats.lazy_built, stats.lazy_count, render_scene_bytes(job->loaded.scene));
+}
+
+/* What the scenes take now: trees may have been built since they were ready. A scene that jobs
+ * share counts once. */
+static uint64_t scene_bytes(const struct job_table *t)
+{
+    uint64_t bytes = 0;
+    const struct worker_job *job;
+    TAILQ_FOREACH(job, &t->jobs, in_jobs)
+    if (job->state == WORKER_JOB_READY)
+        bytes += render_scene_bytes(job->loaded.scene) / render_scene_sharers(job->loaded.scene);
+    return bytes;
+}
+
+static void drop_scene(struct worker_job *job)
+{
+    TL_ASSERT(job->state == WORKER_JOB_READY);
+    (void)render_scene_free(job->loaded.scene); /* other jobs may share it */
     job->loaded = (struct loaded_scene){0};
     job->state = WORKER_JOB_IDLE;
 }
@@ -36,7 +58,7 @@ static void free_job(struct job_table *t, struct worker_job *job)
     if (job->state == WORKER_JOB_LOADING)
         scene_fetcher_cancel(t->loader, job->id);
     if (job->state == WORKER_JOB_READY)
-        drop_scene(t, job);
+        drop_scene(job);
     TAILQ_REMOVE(&t->jobs, job, in_jobs);
     t->count--;
     grid_release(&job->grid);
@@ -64,7 +86,7 @@ static struct worker_job *first_to_go(struct job_table *t, bool ready)
 
 static void make_room(struct job_table *t)
 {
-    while (t->scene_bytes > t->scene_bytes_max) {
+    while (scene_bytes(t) > t->scene_bytes_max) {
         struct worker_job *job = first_to_go(t, true);
         if (!job)
             return; /* all in use: the leases of this moment need them */
@@ -73,7 +95,7 @@ static void make_room(struct job_table *t)
         if (job->ended || job->gone)
             free_job(t, job);
         else
-            drop_scene(t, job);
+            drop_scene(job);
     }
 }
 
@@ -190,7 +212,6 @@ static void on_finished(void *ctx, uint64_t id, enum err error, const char *text
     job->state = WORKER_JOB_READY;
     job->loaded = *scene;
     job->used = ++t->clock;
-    t->scene_bytes += scene->scene_bytes;
     log_info(
         "job",
         "scene ready job=%" PRIu64 " load_s=%.3f build_s=%.3f bytes=%" PRIu64 " received=%" PRIu64,
@@ -302,6 +323,8 @@ struct worker_job *job_table_find(struct job_table *t, uint64_t id)
 void job_table_end(struct job_table *t, struct worker_job *job)
 {
     job->ended = true;
+    if (job->state == WORKER_JOB_READY)
+        log_trees(job);
     if (job->state == WORKER_JOB_LOADING) {
         scene_fetcher_cancel(t->loader, job->id);
         job->state = WORKER_JOB_IDLE;
@@ -360,8 +383,8 @@ struct scene_fetcher *job_table_loader(struct job_table *t)
 /* --- Life ------------------------------------------------------------------------------- */
 
 enum err job_table_new(struct pool *pool, struct chunk_cache *cache, uint64_t scene_bytes_max,
-                       const struct outlet *outlet, const struct job_table_handlers *handlers,
-                       void *ctx, struct job_table **out)
+                       uint32_t lazy_triangles_min, const struct outlet *outlet,
+                       const struct job_table_handlers *handlers, void *ctx, struct job_table **out)
 {
     struct job_table *t = mem_calloc(1, sizeof *t);
     if (!t)
@@ -372,7 +395,7 @@ enum err job_table_new(struct pool *pool, struct chunk_cache *cache, uint64_t sc
     t->scene_bytes_max = scene_bytes_max;
     TAILQ_INIT(&t->jobs);
     struct scene_fetcher_handlers on = {.request = on_request, .finished = on_finished};
-    enum err e = scene_fetcher_new(pool, cache, &on, t, &t->loader);
+    enum err e = scene_fetcher_new(pool, cache, lazy_triangles_min, &on, t, &t->loader);
     if (e != ERR_OK) {
         mem_free(t);
         return e;

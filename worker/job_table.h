@@ -47,7 +47,8 @@ struct job_table_handlers {
 };
 
 TL_NODISCARD enum err job_table_new(struct pool *pool, struct chunk_cache *cache,
-                                    uint64_t scene_bytes_max, const struct outlet *outlet,
+                                    uint64_t scene_bytes_max, uint32_t lazy_triangles_min,
+                                    const struct outlet *outlet,
                                     const struct job_table_handlers *handlers, void *ctx,
                                     struct job_table **out);
 void job_table_free(struct job_table *t); /* after pool_close */

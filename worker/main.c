@@ -12,6 +12,7 @@
 #include "common/determinism.h"
 #include "common/log.h"
 #include "proto/transport.h"
+#include "worker/render/accel_lazy.h"
 #include "worker/render/render.h"
 #include "worker/session.h"
 
@@ -30,6 +31,7 @@ static const char help[] =
     "  --tag T             a word that jobs may ask for; up to 8 times\n"
     "  --cache DIR         keep scenes' chunks and trees in DIR (else chunks in memory)\n"
     "  --cache-size MIB    of chunks, and of trees, at most (20480 in DIR, 1024 in memory)\n"
+    "  --eager             build all trees at once (else large objects' when rays meet them)\n"
     "  --memory MIB        for built scenes; the oldest unused go first (half of the machine's)\n"
     "  --determinism-id    print what must be equal on all workers of a farm, and exit\n"
     "  --log LEVEL         error, warn, info, debug or trace (info)\n"
@@ -58,7 +60,7 @@ struct program {
     const char *tags[LIMIT_TAGS];
     uint32_t tag_count, threads;
     uint64_t cache_mib, memory_mib;
-    bool print_id, wants_tls;
+    bool print_id, wants_tls, eager;
     struct tls_files tls_files;
     char host[HOST_BYTES];
 };
@@ -109,6 +111,7 @@ enum {
     OPTION_TAG,
     OPTION_CACHE,
     OPTION_CACHE_SIZE,
+    OPTION_EAGER,
     OPTION_MEMORY,
     OPTION_ID,
     OPTION_LOG,
@@ -127,6 +130,7 @@ static const struct option long_options[] = {
     {"tag", required_argument, NULL, OPTION_TAG},
     {"cache", required_argument, NULL, OPTION_CACHE},
     {"cache-size", required_argument, NULL, OPTION_CACHE_SIZE},
+    {"eager", no_argument, NULL, OPTION_EAGER},
     {"memory", required_argument, NULL, OPTION_MEMORY},
     {"determinism-id", no_argument, NULL, OPTION_ID},
     {"log", required_argument, NULL, OPTION_LOG},
@@ -209,6 +213,9 @@ static int take_option(struct program *p, int option, const char *value)
         return take_number("--cache-size", value, 1, UINT64_C(1) << 32, &p->cache_mib);
     case OPTION_MEMORY:
         return take_number("--memory", value, 1, UINT64_C(1) << 32, &p->memory_mib);
+    case OPTION_EAGER:
+        p->eager = true;
+        return GO_ON;
     case OPTION_ID:
         p->print_id = true;
         return GO_ON;
@@ -405,6 +412,7 @@ int main(int argc, char **argv)
         .pool = p.pool,
         .cache = p.cache,
         .scene_bytes_max = p.memory_mib * MIB,
+        .lazy_triangles_min = p.eager ? 0 : ACCEL_LAZY_TRIANGLES_MIN,
         .registered = on_registered,
         .ended = on_ended,
         .ctx = &p,

@@ -78,6 +78,7 @@ struct asked {
 struct scene_fetcher {
     struct pool *pool;
     struct chunk_cache *cache;
+    uint32_t lazy_triangles_min;
     struct scene_fetcher_handlers handlers;
     void *ctx;
     TAILQ_HEAD(, load) loads; /* the first is the one at work */
@@ -300,8 +301,10 @@ static void run_build(struct pool_task *task, uint32_t thread)
         struct scene_trees trees = {
             .find = find_tree, .drop = drop_tree, .keep = keep_tree, .ctx = load};
         bool kept = chunk_cache_trees(load->loader->cache) != NULL;
-        load->error =
-            scene_build_kept(&scene, &load->spec, &runner, kept ? &trees : NULL, &load->scene);
+        struct scene_building how = {.runner = &runner,
+                                     .trees = kept ? &trees : NULL,
+                                     .lazy_triangles_min = load->loader->lazy_triangles_min};
+        load->error = scene_build_as(&scene, &load->spec, &how, &load->scene);
         mem_free(load->saved_tree);
         load->saved_tree = NULL;
         load->build_seconds = now_seconds() - read;
@@ -620,13 +623,18 @@ void scene_fetcher_cancel(struct scene_fetcher *l, uint64_t job)
 }
 
 enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
+                           uint32_t lazy_triangles_min,
                            const struct scene_fetcher_handlers *handlers, void *ctx,
                            struct scene_fetcher **out)
 {
     struct scene_fetcher *l = mem_calloc(1, sizeof *l);
     if (!l)
         return ERR_NOMEM;
-    *l = (struct scene_fetcher){.pool = pool, .cache = cache, .handlers = *handlers, .ctx = ctx};
+    *l = (struct scene_fetcher){.pool = pool,
+                                .cache = cache,
+                                .lazy_triangles_min = lazy_triangles_min,
+                                .handlers = *handlers,
+                                .ctx = ctx};
     TAILQ_INIT(&l->loads);
     TAILQ_INIT(&l->stores);
     TAILQ_INIT(&l->trees);

@@ -39,8 +39,9 @@ struct scene_fetcher_handlers {
                      const struct loaded_scene *scene);
 };
 
-/* Borrows pool and cache. ERR_NOMEM. */
+/* Borrows pool and cache; lazy_triangles_min as in scene_build.h. ERR_NOMEM. */
 TL_NODISCARD enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
+                                        uint32_t lazy_triangles_min,
                                         const struct scene_fetcher_handlers *handlers, void *ctx,
                                         struct scene_fetcher **out);
 

@@ -562,8 +562,8 @@ enum err work_new(const struct work_options *options, struct work **out)
         e = render_scratch_new(&w->scratch[i]);
     struct job_table_handlers on = {.ready = on_job_ready, .failed = on_job_failed};
     if (e == ERR_OK)
-        e = job_table_new(options->pool, options->cache, options->scene_bytes_max, &options->outlet,
-                          &on, w, &w->jobs);
+        e = job_table_new(options->pool, options->cache, options->scene_bytes_max,
+                          options->lazy_triangles_min, &options->outlet, &on, w, &w->jobs);
     if (e != ERR_OK) {
         work_free(w);
         return e;

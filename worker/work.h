@@ -27,6 +27,7 @@ struct work_options {
     struct pool *pool;
     struct chunk_cache *cache;
     uint64_t scene_bytes_max;
+    uint32_t lazy_triangles_min; /* scene_build.h; 0: every tree is built before the first unit */
     struct outlet outlet;
     void (*settled)(void *ctx); /* a lease or a result has gone: perhaps all is done */
     void *ctx;

@@ -338,6 +338,36 @@ static void shared_scenes_change_no_bit(void **state)
     scene_release(&s);
 }
 
+/* Trees of objects that are built when a ray first meets them: the same picture. */
+static void waiting_trees_change_no_bit(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    kit_cornell(&s, KIT_AREA_LIGHT);
+    for (int i = 0; i < 20; i++) { /* small steps up to the light */
+        double x = -0.9 + 0.09 * i, y = -0.8 + 0.07 * i;
+        const double corners[12] = {x, y, -0.5, x + 0.1, y, -0.5, x + 0.1, y, 0.5, x, y, 0.5};
+        (void)kit_quad(&s, corners, kit_diffuse(&s, 0.7, 0.5, 0.3));
+    }
+    struct job_spec spec = kit_spec(24, 4);
+    struct scene_building how = {.lazy_triangles_min = 1};
+    struct render_scene *rs;
+    assert_int_equal(scene_build_as(&s, &spec, &how, &rs), ERR_OK);
+    struct accel_stats before, after;
+    render_scene_stats(rs, &before);
+    assert_true(before.lazy_count >= 8);
+    assert_int_equal(before.lazy_built, 0);
+    struct kit_picture eager = kit_render(&s, &spec, 0), lazy = kit_render_built(rs, &spec, 0);
+    assert_memory_equal(lazy.mean, eager.mean, 3 * 24 * 24 * sizeof *eager.mean);
+    render_scene_stats(rs, &after);
+    assert_true(after.lazy_built > 0 && after.bytes > before.bytes);
+    kit_picture_free(&eager);
+    kit_picture_free(&lazy);
+    render_scene_free(rs);
+    scene_release(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -350,6 +380,7 @@ int main(void)
         cmocka_unit_test(an_extent_beyond_double_is_refused),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(shared_scenes_change_no_bit),
+        cmocka_unit_test(waiting_trees_change_no_bit),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -36,7 +36,7 @@ static inline void triangle_vertices(const struct accel_mesh *m, uint32_t triang
         _mm_storeu_ps(v[i], vertex_load(m, m->indices[3 * (size_t)triangle + i]));
 }
 
-static inline void triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out)
+void accel_triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out)
 {
     const uint32_t *index = &m->indices[3 * (size_t)triangle];
     __m128 a = vertex_load(m, index[0]), b = vertex_load(m, index[1]);
@@ -132,7 +132,7 @@ static void tree_measure(const struct bvh_ref *refs, size_t count, struct bvh *o
 
 /* --- Building ------------------------------------------------------------- */
 
-static void scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
+void accel_scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
 {
     const struct accel *a = ctx;
     const struct accel_object *o = &a->objects[ref->owner];
@@ -159,7 +159,7 @@ static void refs_some(void *arg, size_t index)
     const struct refs_job *job = arg;
     size_t begin = index * REFS_PER_TASK, end = begin + REFS_PER_TASK;
     for (size_t i = begin; i < end && i < job->mesh->triangle_count; i++) {
-        triangle_ref(job->mesh, (uint32_t)i, &job->refs[i]);
+        accel_triangle_ref(job->mesh, (uint32_t)i, &job->refs[i]);
         job->refs[i].primitive = job->first + (uint32_t)i;
         job->refs[i].owner = job->owner;
     }
@@ -180,9 +180,12 @@ static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
                            struct bvh *out)
 {
     struct bvh box = {0}, made = {.root = BVH_EMPTY};
-    struct bvh_how how = {a->options.builder == JOB_BUILDER_MEDIAN, a->options.isa, 0.0f, runner};
+    struct bvh_how how = {a->options.builder == JOB_BUILDER_MEDIAN, a->options.isa, 0.0f, runner,
+                          out == &a->scene_tree && a->lazy ? &a->lazy->place : NULL};
     enum err err = ERR_OK;
     tree_measure(refs, count, &box, &how.edge);
+    if (how.place && how.place->edge > how.edge)
+        how.edge = how.place->edge;
     lopsided_widen(a->objects, refs, count);
     if (a->options.builder == JOB_BUILDER_NONE)
         mem_free(refs);
@@ -209,34 +212,41 @@ static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct acc
 }
 
 static size_t object_refs(const struct accel *a, uint32_t number, const struct accel_runner *runner,
-                          struct bvh_ref *refs)
+                          const struct accel_lazy_plan *plan, struct bvh_ref *refs)
 {
     const struct accel_object *o = &a->objects[number];
-    if (o->type == ACCEL_TRIANGLES)
+    const struct accel_lazy_box *box = a->lazy ? &plan->boxes[number] : NULL;
+    if (box && box->lazy) {
+        memcpy(refs->lo, box->lo, sizeof refs->lo);
+        memcpy(refs->hi, box->hi, sizeof refs->hi);
+    } else if (o->type == ACCEL_TRIANGLES) {
         return mesh_refs(&a->meshes[o->mesh], a->triangle_first[number], number, runner, refs);
-    if (o->type == ACCEL_SPHERE)
+    } else if (o->type == ACCEL_SPHERE) {
         sphere_ref(o, refs);
-    else if (a->meshes[o->mesh].triangle_count)
+    } else if (a->meshes[o->mesh].triangle_count) {
         instance_ref(o, &a->mesh_trees[o->mesh], refs);
-    else
+    } else {
         return 0;
+    }
     refs->primitive = BVH_REF_OBJECT | number;
     refs->owner = number;
     return 1;
 }
 
-static enum err scene_tree_build(struct accel *a, const struct accel_runner *runner)
+static enum err scene_tree_build(struct accel *a, const struct accel_runner *runner,
+                                 const struct accel_lazy_plan *plan)
 {
     size_t limit = a->triangle_first[a->object_count] + a->object_count, count = 0;
     struct bvh_ref *refs = bvh_alloc(limit, sizeof *refs);
     if (!refs)
         return ERR_NOMEM;
     for (uint32_t i = 0; i < a->object_count; i++)
-        count += object_refs(a, i, runner, &refs[count]);
-    return tree_build(a, refs, count, runner, scene_vertices, &a->scene_tree);
+        count += object_refs(a, i, runner, plan, &refs[count]);
+    return tree_build(a, refs, count, runner, accel_scene_vertices, &a->scene_tree);
 }
 
-static enum err trees_build(struct accel *a, const struct accel_runner *runner)
+static enum err trees_build(struct accel *a, const struct accel_runner *runner,
+                            const struct accel_lazy_plan *plan)
 {
     for (uint32_t i = 0; i < a->object_count; i++) {
         const struct accel_object *o = &a->objects[i];
@@ -244,7 +254,7 @@ static enum err trees_build(struct accel *a, const struct accel_runner *runner)
         if (tree && !tree->measured && a->meshes[o->mesh].triangle_count)
             TL_TRY(mesh_tree_build(a, o->mesh, runner));
     }
-    return scene_tree_build(a, runner);
+    return scene_tree_build(a, runner, plan);
 }
 
 /* Numbers the triangles of plain objects; ERR_LIMIT when there are too many. */
@@ -327,16 +337,26 @@ static bool trees_restore(struct accel *a, const void *saved, size_t saved_bytes
     return false;
 }
 
+/* Where trees come from: one of both, or neither. */
+struct source {
+    const void *saved;
+    size_t saved_bytes;
+    const struct accel_lazy_plan *plan;
+    const struct accel_locks *locks;
+};
+
 static enum err build(struct accel *a, const struct accel_input *input,
-                      const struct accel_runner *runner, const void *saved, size_t saved_bytes)
+                      const struct accel_runner *runner, const struct source *from)
 {
     a->scene_tree.root = BVH_EMPTY;
     TL_TRY(copy_input(a, input));
     TL_TRY(number_triangles(a));
     TL_TRY(motions_make(a));
-    a->restored = trees_restore(a, saved, saved_bytes);
+    if (from->plan)
+        TL_TRY(accel_lazy_begin(a, from->plan, from->locks));
+    a->restored = trees_restore(a, from->saved, from->saved_bytes);
     if (!a->restored)
-        TL_TRY(trees_build(a, runner));
+        TL_TRY(trees_build(a, runner, from->plan));
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
     for (size_t i = 0; i < a->mesh_count; i++)
@@ -360,15 +380,9 @@ static const struct trace_kernel *kernel_choose(const struct accel_options *o)
     return fast ? &trace_sse2_fast : &trace_sse2;
 }
 
-enum err accel_new(const struct accel_input *input, const struct accel_options *options,
-                   const struct accel_runner *runner, struct accel **out)
-{
-    return accel_new_saved(input, options, runner, NULL, 0, out);
-}
-
-enum err accel_new_saved(const struct accel_input *input, const struct accel_options *options,
-                         const struct accel_runner *runner, const void *saved, size_t saved_bytes,
-                         struct accel **out)
+static enum err accel_make(const struct accel_input *input, const struct accel_options *options,
+                           const struct accel_runner *runner, const struct source *from,
+                           struct accel **out)
 {
     struct accel *a = mem_calloc(1, sizeof *a);
     if (!a)
@@ -376,7 +390,7 @@ enum err accel_new_saved(const struct accel_input *input, const struct accel_opt
     a->options = *options;
     a->kernel = kernel_choose(options);
     a->pad = options->precision == JOB_PRECISION_FAST ? TRACE_PAD_FAST : TRACE_PAD;
-    enum err err = build(a, input, runner, saved, saved_bytes);
+    enum err err = build(a, input, runner, from);
     if (err)
         accel_free(a);
     else
@@ -384,10 +398,34 @@ enum err accel_new_saved(const struct accel_input *input, const struct accel_opt
     return err;
 }
 
+enum err accel_new(const struct accel_input *input, const struct accel_options *options,
+                   const struct accel_runner *runner, struct accel **out)
+{
+    return accel_make(input, options, runner, &(struct source){.saved = NULL}, out);
+}
+
+enum err accel_new_saved(const struct accel_input *input, const struct accel_options *options,
+                         const struct accel_runner *runner, const void *saved, size_t saved_bytes,
+                         struct accel **out)
+{
+    struct source from = {.saved = saved, .saved_bytes = saved_bytes};
+    return accel_make(input, options, runner, &from, out);
+}
+
+enum err accel_new_lazy(const struct accel_input *input, const struct accel_options *options,
+                        const struct accel_runner *runner, const struct accel_lazy_plan *plan,
+                        const struct accel_locks *locks, struct accel **out)
+{
+    struct source from = {.plan = plan, .locks = locks};
+    TL_ASSERT(plan->lazy_count > 0 && plan->object_count == input->object_count);
+    return accel_make(input, options, runner, &from, out);
+}
+
 void accel_free(struct accel *a)
 {
     if (!a)
         return;
+    accel_lazy_end(a);
     bvh_release(&a->scene_tree);
     for (size_t i = 0; a->mesh_trees && i < a->mesh_count; i++)
         bvh_release(&a->mesh_trees[i]);
@@ -402,6 +440,7 @@ void accel_free(struct accel *a)
 void accel_stats_get(const struct accel *a, struct accel_stats *out)
 {
     *out = a->stats;
+    accel_lazy_count(a, out);
 }
 
 /* --- Rays and hits -------------------------------------------------------- */

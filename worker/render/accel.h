@@ -73,6 +73,9 @@ struct accel_stats {
     uint64_t node_count, leaf_count, depth_max;
     uint64_t bytes;
     double sah_cost; /* relative to the root's area */
+    /* Of accel_new_lazy: objects that wait or waited for a first ray, and those that met one.
+     * Nodes, leaves and cost are those of the scene's own tree, bytes all that is there now. */
+    uint64_t lazy_count, lazy_built;
 };
 
 /* `runner` may be NULL: builds on the calling thread, the same tree. ERR_NOMEM. */

@@ -9,6 +9,8 @@
 #define WORKER_RENDER_ACCEL_PARTS_H
 
 #include "common/scene.h"
+#include "worker/render/accel_lazy.h"
+#include "worker/render/bvh_place.h"
 #include "worker/render/trace.h"
 
 /* What a kernel answers in: rays of the caller, validated inside. */
@@ -30,6 +32,20 @@ struct accel_motion {
     double from_scene[4][4], to_scene[3][4];
 } __attribute__((aligned(32)));
 
+/* Objects whose trees are built when a ray first meets them (accel_lazy.h). */
+struct accel_lazy {
+    struct accel_locks locks;
+    struct bvh_place place;  /* of the scene's tree and of theirs */
+    _Atomic uint32_t *roots; /* object_count; of an object: its tree, or one of the two below */
+    float (*boxes)[6];       /* of the same, as the rows of bvh_node.bounds */
+    uint64_t object_count;
+    atomic_uint_fast64_t built_count, failures;
+};
+
+/* References of kind BVH_EMPTY that no tree has. */
+#define ACCEL_UNBUILT  UINT32_C(0xffffffff)
+#define ACCEL_NOT_LAZY UINT32_C(0xfffffffb)
+
 struct accel {
     const struct trace_kernel *kernel;
     struct accel_options options;
@@ -42,8 +58,33 @@ struct accel {
     struct bvh scene_tree;
     struct bvh *mesh_trees; /* mesh_count; empty unless instanced */
     struct accel_stats stats;
-    bool restored; /* the trees were saved ones */
+    bool restored;           /* the trees were saved ones */
+    struct accel_lazy *lazy; /* NULL: all trees are built */
 };
+
+/* The box of a triangle; the caller sets what else a reference has. *out lies at 16 bytes. */
+void accel_triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out);
+
+/* The vertices of a reference of the scene's tree; ctx is the accel. */
+void accel_scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4]);
+
+/* Sets a->lazy, with room for all trees. ERR_NOMEM, ERR_LIMIT: to be ended as well. */
+TL_NODISCARD enum err accel_lazy_begin(struct accel *a, const struct accel_lazy_plan *plan,
+                                       const struct accel_locks *locks);
+void accel_lazy_end(struct accel *a);
+
+/* What has been built since. */
+void accel_lazy_count(const struct accel *a, struct accel_stats *stats);
+
+/* Builds the object's tree unless another thread has; its root, or BVH_EMPTY without memory. */
+uint32_t accel_lazy_build(const struct accel *a, uint32_t number);
+
+/* The root of the tree of an object, ACCEL_UNBUILT or ACCEL_NOT_LAZY. */
+static inline uint32_t accel_lazy_root(const struct accel *a, uint32_t number)
+{
+    return a->lazy ? atomic_load_explicit(&a->lazy->roots[number], memory_order_acquire)
+                   : ACCEL_NOT_LAZY;
+}
 
 /* Fills the trees of an accel whose input is copied and numbered. ERR_CORRUPT, ERR_NOMEM: the trees
  * are then half filled, to be released. */

@@ -81,10 +81,11 @@ struct bvh_how {
     enum accel_isa isa; /* the widest to be used */
     float edge;         /* the largest extent of a triangle along any axis */
     const struct accel_runner *runner;
+    struct bvh_place *place; /* where the tree is put (bvh_place.h); NULL: an arena of its own */
 };
 
 /* Builds over refs[0..count), as bvh2_build takes them. ERR_NOMEM; ERR_LIMIT: over
- * BVH_PRIMITIVES_MAX or too large for the arena's references. */
+ * BVH_PRIMITIVES_MAX or too large for the arena's references, or too deep for a place. */
 TL_NODISCARD enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
                               bvh_vertices_fn vertices, void *ctx, struct bvh *out);
 void bvh_release(struct bvh *b);

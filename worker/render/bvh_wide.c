@@ -1,6 +1,6 @@
 /* From the binary tree to the wide one: which binary nodes become wide nodes is
  * chosen by dynamic programming over the surface area cost. */
-#include "worker/render/bvh.h"
+#include "worker/render/bvh_place.h"
 
 #include <emmintrin.h>
 #include <string.h>
@@ -322,6 +322,39 @@ static void write_some(void *arg, size_t index)
         write_node(w, &w->planner->plans[i]);
 }
 
+/* Takes the units of a planned tree from the place and moves its references there. */
+static enum err settle(struct planner *p, struct bvh_place *place, size_t *first)
+{
+    uint32_t depth = 0;
+    for (size_t i = 0; i < p->count; i++)
+        depth = p->plans[i].depth > depth ? p->plans[i].depth : depth;
+    if (depth > BVH_PLACED_DEPTH_MAX)
+        return ERR_LIMIT;
+    size_t begin = atomic_fetch_add(&place->units_used, p->units);
+    TL_ASSERT(begin + p->units <= place->units); /* the place has room for any tree */
+    for (size_t i = 0; i < p->count; i++) {
+        struct plan *plan = &p->plans[i];
+        plan->unit += (uint32_t)begin;
+        for (uint32_t c = 0; c < plan->count; c++)
+            if ((plan->offset[c] & 3) != BVH_OBJECT)
+                plan->offset[c] += (uint32_t)begin << BVH_KIND_BITS;
+    }
+    *first = begin;
+    return ERR_OK;
+}
+
+/* Where the planned tree is written: an arena of its own, or within the place. */
+static enum err find_arena(struct planner *p, struct bvh_place *place, struct bvh *out)
+{
+    size_t first = 0;
+    if (place)
+        TL_TRY(settle(p, place, &first));
+    out->bytes = (size_t)p->units * BVH_UNIT_BYTES;
+    out->arena = place ? place->arena : bvh_alloc(out->bytes, 1);
+    out->root = (uint32_t)first << BVH_KIND_BITS | BVH_NODE;
+    return out->arena ? ERR_OK : ERR_NOMEM;
+}
+
 static enum err wide_build(const struct bvh2 *tree, const struct bvh_how *how,
                            bvh_vertices_fn vertices, void *ctx, struct bvh *out)
 {
@@ -335,16 +368,12 @@ static enum err wide_build(const struct bvh2 *tree, const struct bvh_how *how,
     choose_run(&choosing, 0);
     p.choices = choosing.choices;
     err = plan_all(&p);
-    if (err)
-        goto done;
-    out->bytes = (size_t)p.units * BVH_UNIT_BYTES;
-    out->arena = bvh_alloc(out->bytes, 1);
-    err = out->arena ? ERR_OK : ERR_NOMEM;
+    if (!err)
+        err = find_arena(&p, how->place, out);
     if (err)
         goto done;
     struct writer w = {&p, out, vertices, ctx, edge_unit_bits(how->edge)};
     bvh_run(how->runner, (p.count + PLANS_PER_TASK - 1) / PLANS_PER_TASK, write_some, &w);
-    out->root = 0 << BVH_KIND_BITS | BVH_NODE;
     out->edge_unit = float_of(w.edge_bits);
     measure(&p, out);
 done:
@@ -356,7 +385,8 @@ done:
 enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
                  bvh_vertices_fn vertices, void *ctx, struct bvh *out)
 {
-    *out = (struct bvh){.root = BVH_EMPTY};
+    struct bvh made = {.root = BVH_EMPTY};
+    *out = made;
     if (count == 0 || count > BVH_PRIMITIVES_MAX) {
         mem_free(refs);
         return count ? ERR_LIMIT : ERR_OK;
@@ -365,9 +395,31 @@ enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
     enum err err = bvh2_build(refs, (uint32_t)count, how, &tree);
     if (err)
         return err;
-    err = wide_build(&tree, how, vertices, ctx, out);
+    err = wide_build(&tree, how, vertices, ctx, &made);
     bvh2_release(&tree);
+    if (err == ERR_OK)
+        *out = made;
     return err;
+}
+
+enum err bvh_place_new(size_t ref_count, float edge, struct bvh_place *out)
+{
+    /* At worst every reference is a leaf, and every node has two children. */
+    const size_t units_each = (sizeof(struct bvh_node) + sizeof(struct bvh_leaf)) / BVH_UNIT_BYTES;
+    size_t units = (ref_count + 1) * units_each;
+    if (units >> (32 - BVH_KIND_BITS))
+        return ERR_LIMIT;
+    out->arena = bvh_alloc(units, BVH_UNIT_BYTES);
+    out->units = units;
+    out->edge = edge;
+    atomic_init(&out->units_used, 0);
+    return out->arena ? ERR_OK : ERR_NOMEM;
+}
+
+void bvh_place_release(struct bvh_place *p)
+{
+    mem_free(p->arena);
+    p->arena = NULL;
 }
 
 void bvh_release(struct bvh *b)

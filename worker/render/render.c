@@ -5,6 +5,7 @@
 #include <xmmintrin.h>
 
 #include "worker/render/first_hit.h"
+#include "worker/render/accel_lazy.h"
 #include "worker/render/wave.h"
 
 /* Round to nearest, exceptions masked, no flush to zero. */
@@ -315,6 +316,7 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
     *counters = (struct render_counters){.samples = sums.plane * block.count,
                                          .nonfinite_pixel = UINT64_MAX};
     scratch->ray_count = 0;
+    uint64_t failures = accel_failures(scene->accel);
     unsigned int mxcsr = _mm_getcsr();
     _mm_setcsr(MXCSR_DEFAULT);
     enum err e = ERR_OK;
@@ -334,5 +336,7 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
         put_centres(scene, grid, unit, scratch, &sums);
     _mm_setcsr(mxcsr);
     counters->rays = scratch->ray_count;
+    if (e == ERR_OK && accel_failures(scene->accel) != failures)
+        return ERR_NOMEM;
     return e;
 }

@@ -4,7 +4,8 @@
  * sample is a pure function of (scene, job spec, x, y, half, sample index), so any
  * worker gives the same bits. Input: a built scene and a unit (a run of cells
  * times one sample block). Output: the block's sums per pixel and counters. No
- * sockets, threads, files, clock, environment, locale, logging or malloc.
+ * sockets, threads, files, clock, environment, locale, logging or malloc; but trees that
+ * wait for their first ray are built here (accel_lazy.h).
  */
 #ifndef WORKER_RENDER_RENDER_H
 #define WORKER_RENDER_RENDER_H
@@ -32,7 +33,8 @@ void render_scratch_free(struct render_scratch *s);
  * job_plane_count planes of grid_pixels(unit) floats: sums of radiance over the block's
  * samples, made in double, rounded once, then the AOVs' (aov.h), which change no bit of it. Sets
  * the thread's MXCSR for its time (round to nearest, no flush to zero). Returns ERR_CANCELLED soon
- * after *stop (may be NULL) became true; then `out` is garbage. */
+ * after *stop (may be NULL) became true, and ERR_NOMEM when a tree that a ray met could not be
+ * built; then `out` is garbage. */
 TL_NODISCARD enum err render_unit(const struct render_scene *scene, const struct grid *grid,
                                   struct unit unit, struct render_scratch *scratch,
                                   const atomic_bool *stop, float *out,

@@ -47,7 +47,8 @@ struct render_object {
 struct render_scene {
     struct arena arena;
     struct job_spec spec;
-    struct accel *accel; /* owned */
+    struct accel *accel;       /* owned */
+    struct scene_locks *locks; /* owned; the tree's, where it has objects that wait */
     double center[3], scale;
     struct camera camera;
     struct film_filter filter;

@@ -19,7 +19,8 @@
 
 enum {
     TRACE_BATCH = 16,
-    STACK_SLACK = BVH_WIDTH,
+    PUT_OFF_MAX = 32, /* objects that wait for their tree until nothing else is left */
+    STACK_SLACK = BVH_WIDTH + PUT_OFF_MAX,
     INTERLEAVE_MIN = 1 << 16, /* bytes of a tree that does not stay in the innermost cache */
 };
 
@@ -107,6 +108,64 @@ static __attribute__((noinline)) bool object_any(const struct accel *a, const st
     return mesh_any(a, &a->mesh_trees[o->mesh], &inner, tmin * inner.unscale, tmax * inner.unscale);
 }
 
+/* --- Objects whose trees may wait ------------------------------------------ */
+
+/* Where the ray enters the object's box, as a key of the stack. */
+static inline uint32_t waiting_key(const struct accel *a, uint32_t number,
+                                   const struct trace_ray *r, float from)
+{
+    const float *box = a->lazy->boxes[number];
+    for (int k = 0; k < 3; k++) {
+        float near = box[r->row[k]] * r->inverse[k] - r->near_offset[k];
+        from = near > from ? near : from;
+    }
+    return float_bits(from) & ~(uint32_t)KEY_SLOT_MASK;
+}
+
+/* Puts an object that has no tree yet at the bottom of the stack, whose first *put_off entries are
+ * such, the farthest lowest: what is built may stop the ray before. False: nothing but farther ones
+ * is left, or too many are put off. */
+static __attribute__((noinline)) bool put_off_object(const struct accel *a,
+                                                     const struct trace_ray *r, float from,
+                                                     uint32_t ref, uint32_t *keys, uint32_t *refs,
+                                                     uint32_t *top, uint32_t *put_off)
+{
+    *put_off = *put_off < *top ? *put_off : *top;
+    uint32_t key = waiting_key(a, ref >> BVH_KIND_BITS, r, from), at = *put_off;
+    bool nearest = at == 0 || keys[at - 1] >= key;
+    if ((*top == at && nearest) || at == PUT_OFF_MAX)
+        return false;
+    while (at > 0 && keys[at - 1] < key)
+        at--;
+    memmove(refs + at + 1, refs + at, (*top - at) * sizeof *refs);
+    memmove(keys + at + 1, keys + at, (*top - at) * sizeof *keys);
+    refs[at] = ref;
+    keys[at] = key;
+    ++*put_off;
+    ++*top;
+    return true;
+}
+
+enum waiting { WAITING_NOT, WAITING_READY, WAITING_PUT_OFF };
+
+/* An object that may have a tree of its own in the scene's arena. READY: go on with *ref, its root;
+ * PUT_OFF: go on with the stack; NOT: it is of another kind. */
+static inline enum waiting object_waits(const struct accel *a, const struct trace_ray *r,
+                                        float from, uint32_t *ref, uint32_t *keys, uint32_t *refs,
+                                        uint32_t *top, uint32_t *put_off)
+{
+    uint32_t root = accel_lazy_root(a, *ref >> BVH_KIND_BITS);
+    if (root == ACCEL_NOT_LAZY)
+        return WAITING_NOT;
+    if (root == ACCEL_UNBUILT) {
+        if (put_off_object(a, r, from, *ref, keys, refs, top, put_off))
+            return WAITING_PUT_OFF;
+        root = accel_lazy_build(a, *ref >> BVH_KIND_BITS);
+    }
+    *ref = root;
+    return WAITING_READY;
+}
+
 /* --- One ray -------------------------------------------------------------- */
 
 static inline void walk_closest(const struct accel *a, const struct bvh *tree,
@@ -116,12 +175,13 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
     uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
-    uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0;
+    uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
     struct slabs slabs;
     slabs_init(&slabs, r);
     struct leaf_span span = leaf_span_of(tmin, best->t);
     struct leaf_pending pending = {.leaf = NULL};
     f8 from = f8_splat(span.from), entry;
+    enum waiting waits;
     for (;;) {
         switch ((enum bvh_kind)(ref & 3)) {
         case BVH_NODE: {
@@ -151,6 +211,11 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
             break;
         }
         case BVH_OBJECT:
+            waits = object_waits(a, r, span.from, &ref, keys, refs, &top, &put_off);
+            if (waits == WAITING_READY)
+                continue;
+            if (waits == WAITING_PUT_OFF)
+                break;
             pending_settle(a, r, tmin, object, &pending, best);
             object_closest(a, r, tmin, ref >> BVH_KIND_BITS, best);
             span.to = round_up(best->t);
@@ -177,11 +242,12 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
     uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
-    uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0;
+    uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
     struct slabs slabs;
     slabs_init(&slabs, r);
     const struct leaf_span span = leaf_span_of(tmin, tmax);
     f8 from = f8_splat(span.from), to = f8_splat(span.to), entry;
+    enum waiting waits;
     for (;;) {
         switch ((enum bvh_kind)(ref & 3)) {
         case BVH_NODE: {
@@ -213,6 +279,11 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
             break;
         }
         case BVH_OBJECT:
+            waits = object_waits(a, r, span.from, &ref, keys, refs, &top, &put_off);
+            if (waits == WAITING_READY)
+                continue;
+            if (waits == WAITING_PUT_OFF)
+                break;
             if (object_any(a, r, tmin, tmax, ref >> BVH_KIND_BITS))
                 return true;
             break;
@@ -274,7 +345,7 @@ struct runner {
     struct trace_best best; /* any hit: t is tmax */
     struct leaf_span span;
     struct leaf_pending pending;
-    uint32_t ref, top;
+    uint32_t ref, top, put_off;
     size_t index; /* in the caller's arrays */
     uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
 };
@@ -290,7 +361,7 @@ static bool runner_start(struct runner *s, const struct accel *a, const struct r
     s->span = leaf_span_of(tmin, s->best.t);
     s->pending.leaf = NULL;
     s->ref = a->scene_tree.root;
-    s->top = 0;
+    s->top = s->put_off = 0;
     return true;
 }
 
@@ -324,11 +395,20 @@ static inline bool runner_step_closest(struct runner *s, const struct accel *a, 
         leaf_closest(a, &s->ray, leaf, edge_bits, SCENE_NONE, &s->span, &s->pending, &s->best);
         break;
     }
-    case BVH_OBJECT:
+    case BVH_OBJECT: {
+        enum waiting waits =
+            object_waits(a, &s->ray, s->span.from, &s->ref, s->keys, s->refs, &s->top, &s->put_off);
+        if (waits == WAITING_READY) {
+            prefetch(arena, s->ref);
+            return true;
+        }
+        if (waits == WAITING_PUT_OFF)
+            break;
         pending_settle(a, &s->ray, s->span.tmin, SCENE_NONE, &s->pending, &s->best);
         object_closest(a, &s->ray, s->span.tmin, s->ref >> BVH_KIND_BITS, &s->best);
         s->span.to = round_up(s->best.t);
         break;
+    }
     case BVH_EMPTY:
         break;
     }
@@ -371,9 +451,18 @@ static inline bool runner_step_any(struct runner *s, const struct accel *a, uint
         s->best.found = leaf_blocks(&s->ray, leaf, edge_bits, &s->span, s->best.t);
         break;
     }
-    case BVH_OBJECT:
+    case BVH_OBJECT: {
+        enum waiting waits =
+            object_waits(a, &s->ray, s->span.from, &s->ref, s->keys, s->refs, &s->top, &s->put_off);
+        if (waits == WAITING_READY) {
+            prefetch(arena, s->ref);
+            return true;
+        }
+        if (waits == WAITING_PUT_OFF)
+            break;
         s->best.found = object_any(a, &s->ray, s->span.tmin, s->best.t, s->ref >> BVH_KIND_BITS);
         break;
+    }
     case BVH_EMPTY:
         break;
     }
@@ -403,7 +492,7 @@ static bool closest_next(struct runner *s, const struct accel *a, const struct r
 static void kernel_closest_batch(const struct accel *a, const struct ray *rays, size_t count,
                                  struct hit *hits)
 {
-    if (a->scene_tree.bytes < INTERLEAVE_MIN) { /* nothing to wait for */
+    if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) { /* nothing to wait for */
         for (size_t i = 0; i < count; i++)
             kernel_closest(a, &rays[i], &hits[i]);
         return;
@@ -449,7 +538,7 @@ static bool occluded_next(struct runner *s, const struct accel *a, const struct 
 static void kernel_occluded_batch(const struct accel *a, const struct ray *rays, size_t count,
                                   uint8_t *occluded)
 {
-    if (a->scene_tree.bytes < INTERLEAVE_MIN) {
+    if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) {
         for (size_t i = 0; i < count; i++)
             occluded[i] = kernel_occluded(a, &rays[i]);
         return;

@@ -151,12 +151,25 @@ static void offer_instance(const struct walk *w, const struct trace_ray *ray, ui
         *best = moved;
 }
 
+/* An object with a tree of its own in the scene's arena. */
+static void offer_lazy(const struct walk *w, const struct trace_ray *ray, uint32_t number,
+                       struct trace_best *best)
+{
+    struct bvh tree = w->accel->scene_tree;
+    tree.root = accel_lazy_root(w->accel, number);
+    if (tree.root == ACCEL_UNBUILT)
+        tree.root = accel_lazy_build(w->accel, number);
+    walk_tree(w, &tree, ray, SCENE_NONE, best);
+}
+
 static void offer_object(const struct walk *w, const struct trace_ray *ray, uint32_t number,
                          struct trace_best *best)
 {
     const struct accel_object *o = &w->accel->objects[number];
     double t;
-    if (o->type == ACCEL_INSTANCE)
+    if (o->type == ACCEL_TRIANGLES)
+        offer_lazy(w, ray, number, best);
+    else if (o->type == ACCEL_INSTANCE)
         offer_instance(w, ray, number, best);
     else if (exact_sphere(ray, o->center, o->radius, w->tmin,
                           best->found ? __builtin_inf() : best->t, &t))

@@ -4,6 +4,7 @@
 set(trace_dir ${PROJECT_SOURCE_DIR}/worker/render)
 set(trace_sources
   ${trace_dir}/accel.c
+  ${trace_dir}/accel_lazy.c
   ${trace_dir}/accel_trees.c
   ${trace_dir}/bvh_build.c
   ${trace_dir}/bvh_split_avx2.c

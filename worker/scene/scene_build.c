@@ -1,5 +1,6 @@
 #include "worker/scene/scene_build.h"
 
+#include "worker/scene/scene_locks.h"
 #include "worker/scene/scene_parts.h"
 
 /* Below, building takes less time than finding. */
@@ -30,9 +31,28 @@ static enum err find_or_build(struct render_scene *rs, const struct accel_input 
     return ERR_OK;
 }
 
+/* Trees that wait for their first ray, if that pays; else rs->accel stays NULL. */
+static enum err try_lazy(struct render_scene *rs, const struct accel_input *input,
+                         const struct accel_options *options, const struct scene_building *how)
+{
+    struct accel_lazy_plan plan;
+    if (how->lazy_triangles_min == 0)
+        return ERR_OK;
+    TL_TRY(accel_lazy_choose(input, options, how->runner, how->lazy_triangles_min, &plan));
+    if (plan.lazy_count == 0)
+        return ERR_OK;
+    enum err e = ERR_NOMEM;
+    rs->locks = scene_locks_new();
+    if (rs->locks) {
+        struct accel_locks locks = scene_locks_of(rs->locks);
+        e = accel_new_lazy(input, options, how->runner, &plan, &locks, &rs->accel);
+    }
+    accel_lazy_plan_release(&plan);
+    return e == ERR_LIMIT ? ERR_OK : e; /* then all at once */
+}
+
 /* The tree's view of the meshes and objects. */
-static enum err build_accel(struct render_scene *rs, const struct accel_runner *runner,
-                            const struct scene_trees *trees)
+static enum err build_accel(struct render_scene *rs, const struct scene_building *how)
 {
     struct accel_mesh *meshes = mem_calloc(rs->mesh_count, sizeof *meshes);
     struct accel_object *objects = mem_calloc(rs->object_count, sizeof *objects);
@@ -54,7 +74,9 @@ static enum err build_accel(struct render_scene *rs, const struct accel_runner *
     struct accel_input input = {meshes, rs->mesh_count, objects, rs->object_count};
     struct accel_options options = {rs->spec.builder, rs->spec.intersector, rs->spec.precision,
                                     ACCEL_ISA_AUTO};
-    e = find_or_build(rs, &input, &options, runner, trees);
+    e = try_lazy(rs, &input, &options, how);
+    if (e == ERR_OK && !rs->accel)
+        e = find_or_build(rs, &input, &options, how->runner, how->trees);
 out:
     mem_free(meshes);
     mem_free(objects);
@@ -80,7 +102,7 @@ static bool same_tables(const struct job_spec *a, const struct job_spec *b)
 }
 
 static enum err build(struct render_scene *rs, const struct scene *scene,
-                      const struct accel_runner *runner, const struct scene_trees *trees)
+                      const struct scene_building *how)
 {
     if (scene->uvs_left_out && aov_has(rs->spec.aov, AOV_UV))
         return ERR_INPUT;
@@ -92,18 +114,17 @@ static enum err build(struct render_scene *rs, const struct scene *scene,
     vec3 light = v3_sub(v3_of(scene->seed_light_position), v3_of(rs->center));
     rs->seed_light_position = v3_scale(light, rs->scale);
     rs->seed_light_flux = rgb_scale(rgb_of(scene->seed_light_flux), rs->scale * rs->scale);
-    return build_accel(rs, runner, trees);
+    return build_accel(rs, how);
 }
 
 enum err scene_build(const struct scene *scene, const struct job_spec *spec,
                      const struct accel_runner *runner, struct render_scene **out)
 {
-    return scene_build_kept(scene, spec, runner, NULL, out);
+    return scene_build_as(scene, spec, &(struct scene_building){.runner = runner}, out);
 }
 
-enum err scene_build_kept(const struct scene *scene, const struct job_spec *spec,
-                          const struct accel_runner *runner, const struct scene_trees *trees,
-                          struct render_scene **out)
+enum err scene_build_as(const struct scene *scene, const struct job_spec *spec,
+                        const struct scene_building *how, struct render_scene **out)
 {
     struct render_scene *rs = mem_calloc(1, sizeof *rs);
     if (!rs)
@@ -111,7 +132,7 @@ enum err scene_build_kept(const struct scene *scene, const struct job_spec *spec
     arena_init(&rs->arena);
     rs->sharers = 1;
     rs->spec = *spec;
-    enum err e = build(rs, scene, runner, trees);
+    enum err e = build(rs, scene, how);
     if (e != ERR_OK) {
         render_scene_free(rs);
         return e;
@@ -150,9 +171,15 @@ bool render_scene_free(struct render_scene *rs)
         return false;
     if (owner->accel)
         accel_free(owner->accel);
+    scene_locks_free(owner->locks);
     arena_release(&owner->arena);
     mem_free(owner);
     return true;
+}
+
+uint32_t render_scene_sharers(const struct render_scene *rs)
+{
+    return rs->owner ? rs->owner->sharers : rs->sharers;
 }
 
 size_t render_scene_bytes(const struct render_scene *rs)

@@ -13,7 +13,7 @@
 
 #include "common/scene.h"
 #include "worker/render/render.h"
-#include "worker/render/accel.h"
+#include "worker/render/accel_lazy.h"
 
 /* The scene is valid (scene_check), the spec too. ERR_NOMEM; ERR_LIMIT when the extent of the
  * scene cannot be held in a double; ERR_INPUT when the job shows texture coordinates and the
@@ -31,11 +31,21 @@ struct scene_trees {
     void *ctx;
 };
 
-/* The same with trees found or kept where that is worth it: a scene of few triangles is built in
- * less time than its tree is read. `trees` may be NULL. */
-TL_NODISCARD enum err scene_build_kept(const struct scene *scene, const struct job_spec *spec,
-                                       const struct accel_runner *runner,
-                                       const struct scene_trees *trees, struct render_scene **out);
+/* How scene_build_as goes about it; zeros: as scene_build. */
+struct scene_building {
+    const struct accel_runner *runner; /* or NULL */
+
+    /* Trees found or kept where that is worth it: a scene of few triangles is built in less time
+     * than its tree is read. Or NULL. */
+    const struct scene_trees *trees;
+
+    /* Objects of so many triangles may have their trees built when a ray first meets them, by the
+     * render thread (accel_lazy.h); such trees are not kept. 0: none. */
+    uint32_t lazy_triangles_min;
+};
+
+TL_NODISCARD enum err scene_build_as(const struct scene *scene, const struct job_spec *spec,
+                                     const struct scene_building *how, struct render_scene **out);
 
 /* The scene of another job on the same package: all tables and the tree are shared, only what
  * depends on size, film and sampling is made anew. ERR_VERSION: the job needs other tables or
@@ -47,7 +57,10 @@ TL_NODISCARD enum err render_scene_share(struct render_scene *rs, const struct j
 /* The last that shares frees what is shared; true if this was the last. */
 bool render_scene_free(struct render_scene *rs);
 
-/* Memory held, tree included. */
+/* How many share, this one included. */
+uint32_t render_scene_sharers(const struct render_scene *rs);
+
+/* Memory held now, trees included: more while trees are built by the first rays to meet them. */
 size_t render_scene_bytes(const struct render_scene *rs);
 
 /* Of the tree. */
