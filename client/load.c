@@ -104,6 +104,20 @@ static void check_light(struct load *load, const char *path, const struct cli_li
     load->status = EXIT_INPUT;
 }
 
+/* As a path draws them: triangles and spheres that emit, lights without a surface, the sky. */
+static uint64_t count_lights(const struct scene *s)
+{
+    uint64_t count = s->light_count + (s->envmap.texture != SCENE_NONE);
+    for (size_t i = 0; i < s->object_count; i++) {
+        const struct scene_object *o = &s->objects[i];
+        if (o->emits && o->type == SCENE_OBJECT_MESH)
+            count += s->meshes[o->mesh].triangle_count;
+        else if (o->emits)
+            count++;
+    }
+    return count;
+}
+
 static void make_package(struct load *load)
 {
     load->spec_json = job_spec_to_json(&load->spec);
@@ -154,6 +168,7 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
         return;
     }
     load->scene_spec = load->spec;
+    load->light_count = count_lights(&load->scene);
     apply_options(load, line);
     if (!take_until(load, line))
         ; /* said already */

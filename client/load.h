@@ -18,6 +18,7 @@ struct load {
     char *spec_json;           /* owned */
     char *plan_json;           /* owned; NULL: no --plan */
     struct diag_list problems; /* errors and warnings, also after success */
+    uint64_t light_count; /* triangles and spheres that emit, lights without a surface, the sky */
     bool has_scene, has_package;
     enum err trouble; /* of the machine, with status 5 */
     int status;       /* exit status: 0, 2 (options do not fit), 3 (bad scene), 5 */

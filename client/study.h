@@ -26,6 +26,7 @@ enum {
     X(DEPTH, "max-depth", "longest path")                                                          \
     X(ROULETTE, "rr-threshold", "Russian roulette below this weight")                              \
     X(PROFILE, "profile", "how path finds lights")                                                 \
+    X(LIGHTS, "light-choice", "which of many lights")                                              \
     X(SAMPLER, "sampler", "sequence of sample points")                                             \
     X(ADAPTIVE, "target-error", "samples where the error is")                                      \
     X(PRECISION, "precision", "what decides hits")                                                 \
@@ -105,6 +106,7 @@ struct study {
     uint32_t reference_depth;
     double budget_s, spent_s;
     uint32_t workers, threads; /* threads of all workers */
+    uint64_t lights;           /* of the scene: emitting triangles and spheres, and the others */
     bool own_farm;             /* core-seconds are CPU time of our workers; else as reported */
     bool interrupted;
     /* Of a job besides its samples: reading the scene, building the tree; by builder, sah and

@@ -199,6 +199,9 @@ void study_plan_points(struct study *s, const struct job_spec *spec)
     if (path) {
         add_choices(s, KNOB_PROFILE, CLI_PROFILE, job_profile_names, JOB_PROFILE_COUNT,
                     (int)spec->profile);
+        if (s->lights > 1 && spec->profile != JOB_PROFILE_RW)
+            add_choices(s, KNOB_LIGHTS, CLI_LIGHT_CHOICE, job_light_choice_names,
+                        JOB_LIGHT_CHOICE_COUNT, (int)spec->light_choice);
         add_roulettes(s, spec);
     }
     add_choices(s, KNOB_SAMPLER, CLI_SAMPLER, job_sampler_names, JOB_SAMPLER_COUNT,

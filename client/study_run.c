@@ -411,6 +411,7 @@ int study_run(struct study *s, struct study_farm *f, double budget_s)
     r.fixed = cli_has(line, CLI_SIZE_WH) || cli_has(line, CLI_CROP_XYWH);
     s->budget_s = budget_s;
     s->workers = f->workers;
+    s->lights = f->load.light_count;
     s->threads = f->threads;
     s->own_farm = f->own_runs;
     r.end_s = f->start_s + budget_s - fmin(CLOSING_S, 0.1 * budget_s);

@@ -219,16 +219,23 @@ static void test_nonfinite(void **state)
 
 static struct study study; /* large for a stack */
 
-static void plan(uint32_t width, uint32_t height, bool fixed, double samples_s, double seconds)
+/* A scene of `lights` lights. */
+static void plan_lit(uint64_t lights, uint32_t width, uint32_t height, bool fixed, double samples_s,
+                     double seconds)
 {
     struct job_spec spec;
     struct study_pilot pilot = {.samples_s = samples_s, .overhead_s = 0.02};
     job_spec_init(&spec);
     spec.width = spec.crop.width = width;
     spec.height = spec.crop.height = height;
-    study = (struct study){0};
+    study = (struct study){.lights = lights};
     study_plan_size(&study, &spec, fixed, &pilot, seconds);
     study_plan_points(&study, &spec);
+}
+
+static void plan(uint32_t width, uint32_t height, bool fixed, double samples_s, double seconds)
+{
+    plan_lit(20, width, height, fixed, samples_s, seconds);
 }
 
 static void test_plan_size(void **state)
@@ -268,6 +275,19 @@ static void test_plan_points(void **state)
         if (knob != KNOB_PRESET && knob != KNOB_ADAPTIVE && knob != KNOB_PRECISION)
             assert_true(seen[knob]);
     assert_true(seen[KNOB_ADAPTIVE] == cli_options[CLI_TARGET_ERROR].built);
+}
+
+/* How lights are chosen is tried where there is a choice. */
+static void test_plan_lights(void **state)
+{
+    (void)state;
+    for (uint64_t lights = 0; lights < 3; lights++) {
+        uint32_t points = 0;
+        plan_lit(lights, 600, 600, false, 1e6, 60);
+        for (uint32_t i = 0; i < study.point_count; i++)
+            points += study.points[i].knob == KNOB_LIGHTS;
+        assert_int_equal(points, lights > 1 ? JOB_LIGHT_CHOICE_COUNT - 1 : 0);
+    }
 }
 
 /* --- Recommendations -------------------------------------------------------- */
@@ -480,6 +500,7 @@ int main(void)
         cmocka_unit_test(test_nonfinite),
         cmocka_unit_test(test_plan_size),
         cmocka_unit_test(test_plan_points),
+        cmocka_unit_test(test_plan_lights),
         cmocka_unit_test(test_recommend_nothing),
         cmocka_unit_test(test_recommend_knobs),
         cmocka_unit_test(test_recommend_biased_base),
