@@ -106,7 +106,8 @@ struct film_error {
     double relmse, relmse_low, relmse_high; /* 95 % */
     double relmse_deviation;                /* standard deviation of relmse, as estimated */
     double mean, mean_low, mean_high;       /* of all pixels and channels, 95 % */
-    double effective;          /* groups that carry the error: (sum)^2 / sum of squares */
+    double effective;          /* groups that carry the error: (sum)^2 / sum of squares, each the
+                                * most that it may be */
     uint32_t worst_x, worst_y; /* corner of the square with the largest mean error */
     double worst_relmse;       /* of that square */
 };

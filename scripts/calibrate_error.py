@@ -2,14 +2,19 @@
 """Measures what docs/ERROR.md says of the stated error: renders small pictures on a farm of two
 workers and compares what Tilery says with long references.
 
-usage: calibrate_error.py [--part error,target,predict] [--seeds N] [--runs N] [--cases N]
-                          [--first-case N] [--reference SPP] [--json OUT.json]
+usage: calibrate_error.py [--part rule,error,target,predict] [--size WxH] [--spp N] [--seeds N]
+                          [--runs N] [--max-spp N] [--reference SPP] [--cases N]
+                          [--first-case N] [--busy] [--json OUT.json]
 
-error:   N seeds of each of eight scenes: mean of the stated over mean of the true relMSE, and how
-         often the 95 % interval of the image mean holds the reference's.
-target:  N runs of each scene to a target: how many claims hold, and the work beside that of an
-         allocation which knows the variance of every square.
-predict: what `tilery explain --spp` says of seconds and error, beside renders of other seeds.
+rule:    the rule of --target-error on pictures of known noise, without a renderer: claims that were
+         wrong, and work over that of a rule which knows the error.
+error:   N seeds of each of eight scenes: mean of the stated over mean of the true relMSE, how often
+         the 95 % interval of the image mean holds the reference's, and how often a heavy tail is
+         said.
+target:  N runs of each scene to a target, which is the error of about --spp samples: how many
+         claims hold, and the work beside that of an allocation which knows the variance of every
+         square.
+predict: what `tilery explain` says of seconds and error, beside renders of other seeds.
 """
 import argparse
 import json
@@ -25,7 +30,6 @@ sys.path.insert(0, str(ROOT / "tests/e2e"))
 import exr_pixels  # noqa: E402
 from farm import Farm, tilery  # noqa: E402
 
-WIDTH, HEIGHT, SPP = 96, 64, 64
 CASES = [("cbox", ()), ("cbox_no_light", ()), ("glass_cbox", ()), ("cbox_no_light_refract", ()),
          ("two_spheres", ()), ("veach", ()), ("veach", ("--integrator", "direct")),
          ("cbox", ("--integrator", "ao"))]
@@ -36,12 +40,12 @@ def name_of(case):
 
 
 class Bench:
-    def __init__(self, farm, folder):
-        self.farm, self.folder = farm, folder
+    def __init__(self, farm, folder, width, height):
+        self.farm, self.folder, self.width, self.height = farm, folder, width, height
 
     def submit(self, case, *options):
         scene = ROOT / "scenes" / f"{case[0]}.json"
-        return self.farm.submit(scene, "--size", f"{WIDTH}x{HEIGHT}", *case[1], *options)
+        return self.farm.submit(scene, "--size", f"{self.width}x{self.height}", *case[1], *options)
 
     def picture(self, job):
         report = self.farm.wait_job(job, timeout=3000)
@@ -61,53 +65,70 @@ class Bench:
         for job in jobs:
             yield self.picture(job)
 
+    def squares(self, terms):
+        """Sums over squares of 16 x 16 pixels."""
+        return terms.reshape(self.height // 16, 16, self.width // 16, 16).sum(axis=(1, 3))
+
 
 class Truth:
-    """A reference, and errors against it less its own."""
+    """Two references: the product of the differences to both has no part of their own noise."""
 
     def __init__(self, bench, case, spp):
-        report, self.rgb = bench.picture(bench.submit(case, "--seed", 987654321, "--spp", spp))
-        self.own = report["error"]["relmse"]
-        self.below = self.rgb ** 2 + 0.01 * self.rgb.mean() ** 2
+        jobs = [bench.submit(case, "--seed", seed, "--spp", spp) for seed in (987654321, 987654322)]
+        (first, self.a), (second, self.b) = [bench.picture(job) for job in jobs]
+        both = (self.a + self.b) / 2
+        self.below = both ** 2 + 0.01 * both.mean() ** 2
+        self.mean = both.mean()
+        self.mean_doubt = math.hypot(*(r["error"]["mean_high"] - r["error"]["mean_low"]
+                                       for r in (first, second))) / 4
 
     def terms(self, rgb):
-        return ((rgb - self.rgb) ** 2 / self.below).mean(axis=2)
+        return ((rgb - self.a) * (rgb - self.b) / self.below).mean(axis=2)
 
     def relmse(self, rgb):
-        return self.terms(rgb).mean() - self.own
+        return self.terms(rgb).mean()
+
+    def holds(self, error):
+        """The interval of the mean, its half widened by the reference's, holds the reference's."""
+        half = math.hypot((error["mean_high"] - error["mean_low"]) / 2, self.mean_doubt)
+        return abs((error["mean_high"] + error["mean_low"]) / 2 - self.mean) <= half
 
 
-def part_error(bench, truths, seeds):
+def ratio_of(stated, true):
+    """Ratio of the means, and its standard error."""
+    stated, true = numpy.array(stated), numpy.array(true)
+    ratio = stated.mean() / true.mean()
+    return float(ratio), float((stated - ratio * true).std(ddof=1) / true.mean() / len(true) ** 0.5)
+
+
+def part_error(bench, truths, seeds, spp):
     rows = []
     for case in CASES:
-        stated, true, held = [], [], 0
-        for report, rgb in bench.many(case, seeds, "--spp", SPP):
-            error = report["error"]
-            stated.append(error["relmse"])
+        stated, true, held, heavy = [], [], 0, 0
+        for report, rgb in bench.many(case, seeds, "--spp", spp):
+            stated.append(report["error"]["relmse"])
             true.append(truths[case].relmse(rgb))
-            held += error["mean_low"] <= truths[case].rgb.mean() <= error["mean_high"]
-        row = {"scene": name_of(case), "runs": seeds, "true": float(numpy.mean(true)),
-               "ratio": float(numpy.mean(stated) / numpy.mean(true)), "mean_held": held / seeds}
-        print("error  {scene:24} {runs} runs, true {true:.2e}, stated/true {ratio:.3f}, "
-              "mean held {mean_held:.2f}".format(**row), flush=True)
+            held += truths[case].holds(report["error"])
+            heavy += report["error"]["heavy_tail"]
+        ratio, doubt = ratio_of(stated, true)
+        row = {"scene": name_of(case), "runs": seeds, "spp": spp, "true": float(numpy.mean(true)),
+               "ratio": ratio, "doubt": doubt, "mean_held": held, "heavy_tail": heavy}
+        print("error  | `{scene}` | {true:.2e} | {ratio:.3f} +- {doubt:.3f} | {mean_held} of {runs} | "
+              "{heavy_tail} of {runs} |".format(**row), flush=True)
         rows.append(row)
     return rows
 
 
-def squares(terms):
-    return terms.reshape(HEIGHT // 16, 16, WIDTH // 16, 16).sum(axis=(1, 3))
-
-
-def part_target(bench, truths, runs):
+def part_target(bench, truths, runs, spp, max_spp):
     rows = []
     for case in CASES:
-        first, rgb = bench.picture(bench.submit(case, "--seed", 55, "--spp", SPP))
-        target = float(f"{0.7 * max(truths[case].relmse(rgb), 1e-9):.1g}")
+        _, rgb = bench.picture(bench.submit(case, "--seed", 55, "--spp", spp))
+        target = float(f"{max(truths[case].relmse(rgb), 1e-9):.2g}")
         claimed = held = samples = 0
-        variance, ratios = numpy.zeros((HEIGHT // 16, WIDTH // 16)), []
-        for report, rgb in bench.many(case, runs, "--target-error", target, "--max-spp", 4096):
-            spp = numpy.array(report["plan"]["spp"]).reshape(HEIGHT // 16, WIDTH // 16)
-            variance += squares(truths[case].terms(rgb)) * spp / runs
+        variance, ratios = 0, []
+        for report, rgb in bench.many(case, runs, "--target-error", target, "--max-spp", max_spp):
+            given = numpy.array(report["plan"]["spp"]).reshape(bench.height // 16, -1)
+            variance = variance + bench.squares(truths[case].terms(rgb)) * given / runs
             samples += report["samples"] / runs
             if report["stopped_by"] == "error":
                 claimed += 1
@@ -115,17 +136,67 @@ def part_target(bench, truths, runs):
                 held += true <= target
                 ratios.append(true / target)
         # Least work for the target: samples by square in proportion to sqrt(variance).
-        perfect = numpy.sqrt(variance * 256).sum() ** 2 / (WIDTH * HEIGHT * target)
+        pixels = bench.width * bench.height
+        perfect = numpy.sqrt(numpy.maximum(variance, 0) * 256).sum() ** 2 / (pixels * target)
         row = {"scene": name_of(case), "target": target, "runs": runs, "claimed": claimed,
-               "held": held, "work": samples / perfect,
-               "true_over_target": float(numpy.median(ratios)) if ratios else None}
-        print("target {scene:24} E {target:g}: {held} of {claimed} claims held ({runs} runs), "
-              "work {work:.2f} of perfect, true/E {true_over_target}".format(**row), flush=True)
+               "held": held, "work": samples / perfect, "spp": samples / pixels,
+               "true_over_target": float(numpy.median(ratios)) if ratios else math.nan}
+        print("target | `{scene}` | {target:g} | {runs} | {held} of {claimed} | "
+              "{true_over_target:.2f} | {spp:.0f} | {work:.2f} |".format(**row), flush=True)
         rows.append(row)
     claims, good = sum(r["claimed"] for r in rows), sum(r["held"] for r in rows)
-    work = math.exp(sum(math.log(r["work"]) for r in rows) / len(rows))
-    print(f"target all: {good} of {claims} claims held ({good / max(claims, 1):.3f}), "
-          f"work {work:.2f} of perfect (geometric mean)", flush=True)
+    for what, chosen in (("all", rows), ("where most claim", [r for r in rows if 2 * r["claimed"] > runs])):
+        if chosen:
+            work = math.exp(sum(math.log(r["work"]) for r in chosen) / len(chosen))
+            print(f"target {what}: {good} of {claims} claims held, work {work:.2f} of the perfect "
+                  "allocation's (geometric mean)", flush=True)
+    return rows
+
+
+# As master/job_plan.c has them.
+QUANTILE, FIRST_AIM, HEAVY_GROWTH, EFFECTIVE_MIN = 1.4, 2, 1.25, 32
+GROWTH_MIN, GROWTH_MAX, GROWTH_MARGIN = 1.06, 4, 1.02
+
+
+def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
+    """Samples and true error of a picture of noisy groups that stopped by the rule; None: it
+    made no claim within 20 times the samples. The relMSE is 1 / samples on average."""
+    variance = numpy.exp(unevenness * random.standard_normal(groups))
+    deviation = numpy.sqrt(variance / variance.mean())[:, None]
+
+    def halves(spp):
+        return random.standard_normal((2, groups, freedom)) * deviation * math.sqrt(spp / 2)
+
+    a, b = halves(16)
+    spp = ((a - b) ** 2).mean() / 16 / FIRST_AIM / aim
+    sums = halves(spp)
+    while spp < 20 / aim:
+        a, b = sums / (spp / 2)
+        terms = ((a - b) ** 2 / 4).mean(axis=1)
+        scatter = terms.std(ddof=1) / math.sqrt(groups)
+        growth = (terms.mean() + QUANTILE * math.sqrt(2) * scatter) / aim
+        heavy = terms.sum() ** 2 / (terms ** 2).sum() < EFFECTIVE_MIN
+        if growth <= 1 and not heavy:
+            return spp, (((a + b) / 2) ** 2).mean()
+        growth = max(GROWTH_MARGIN * growth, HEAVY_GROWTH if heavy else GROWTH_MIN)
+        growth = min(growth, GROWTH_MAX)
+        sums = sums + halves((growth - 1) * spp)
+        spp *= growth
+    return None
+
+
+def part_rule(trials):
+    random, rows = numpy.random.default_rng(1), []
+    for groups, freedom, unevenness in ((96, 4, 0.7), (96, 12, 0.7), (384, 4, 1), (1536, 4, 1),
+                                        (1536, 4, 1.6), (6144, 4, 1.6)):
+        made = [c for c in (simulated_claim(random, groups, freedom, unevenness)
+                            for _ in range(trials)) if c]
+        row = {"groups": groups, "freedom": freedom, "unevenness": unevenness, "trials": trials,
+               "claims": len(made), "wrong": sum(true > 0.01 for _, true in made),
+               "work": float(numpy.median([spp for spp, _ in made])) * 0.01}
+        print("rule   | {groups} | {freedom} | {unevenness} | {wrong} of {claims} | {work:.2f} |".format(
+            **row), flush=True)
+        rows.append(row)
     return rows
 
 
@@ -173,27 +244,35 @@ def part_predict(folder, count, first):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", default="error,target")
+    parser.add_argument("--size", default="96x64", help="sides are multiples of 16")
+    parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--runs", type=int, default=26)
+    parser.add_argument("--trials", type=int, default=1000, help="of the rule")
+    parser.add_argument("--max-spp", type=int, default=1024, help="of a render to a target")
     parser.add_argument("--cases", type=int, default=96, help="predictions")
     parser.add_argument("--first-case", type=int, default=0, help="others have other seeds")
-    parser.add_argument("--reference", type=int, default=8192)
+    parser.add_argument("--reference", type=int, default=2048, help="samples of each of the two")
     parser.add_argument("--json")
     arguments = parser.parse_args()
+    width, height = map(int, arguments.size.split("x"))
     found = {}
     with tempfile.TemporaryDirectory() as folder, Farm(folder) as farm:
         for _ in range(2):
             farm.worker()
-        bench = Bench(farm, pathlib.Path(folder))
+        bench = Bench(farm, pathlib.Path(folder), width, height)
         parts = arguments.part.split(",")
+        if "rule" in parts:
+            found["rule"] = part_rule(arguments.trials)
         if "predict" in parts:
             found["predict"] = part_predict(pathlib.Path(folder), arguments.cases, arguments.first_case)
         truths = {case: Truth(bench, case, arguments.reference) for case in CASES
-                  if parts != ["predict"]}
-        if "target" in parts:
-            found["target"] = part_target(bench, truths, arguments.runs)
+                  if {"error", "target"} & set(parts)}
         if "error" in parts:
-            found["error"] = part_error(bench, truths, arguments.seeds)
+            found["error"] = part_error(bench, truths, arguments.seeds, arguments.spp)
+        if "target" in parts:
+            found["target"] = part_target(bench, truths, arguments.runs, arguments.spp,
+                                          arguments.max_spp)
     if arguments.json:
         pathlib.Path(arguments.json).write_text(json.dumps(found, indent=1) + "\n")
 
