@@ -4,6 +4,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <ftw.h>
+#include <netinet/in.h>
 #include <signal.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -12,6 +13,7 @@
 #include <sys/file.h>
 #include <sys/prctl.h>
 #include <sys/random.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <sys/wait.h>
@@ -29,6 +31,7 @@
 enum { INSIST_MS = 60 };
 
 enum { LINE_BYTES = 512, PATH_BYTES = PATH_MAX, WORKER_ARGUMENTS = 8, MASTER_ARGUMENTS = 12 };
+enum { LISTEN_FD = 3 }; /* what the master knows the socket for workers by */
 
 /* A text cut to its buffer: what is too long for a path is refused by the system later. */
 TL_PRINTF(3, 4) static void format(char *out, size_t bytes, const char *pattern, ...)
@@ -136,6 +139,20 @@ static enum err make_folder(struct private_farm *f)
     return make_token(f);
 }
 
+/* Bound and listening before anybody runs, so that nobody waits for a port to be known. */
+static enum err make_socket(struct private_farm *f)
+{
+    struct sockaddr_in at = {.sin_family = AF_INET, .sin_addr = {htonl(INADDR_LOOPBACK)}};
+    socklen_t bytes = sizeof at;
+    f->listen_fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    if (f->listen_fd < 0 || bind(f->listen_fd, (struct sockaddr *)&at, sizeof at) != 0 ||
+        listen(f->listen_fd, PRIVATE_WORKERS_MAX) != 0 ||
+        getsockname(f->listen_fd, (struct sockaddr *)&at, &bytes) != 0)
+        return failed(f, "no socket for workers");
+    format(f->listen, sizeof f->listen, "127.0.0.1:%u", ntohs(at.sin_port));
+    return ERR_OK;
+}
+
 /* --- Children ----------------------------------------------------------- */
 
 static enum err find_programs(struct private_farm *f)
@@ -164,6 +181,10 @@ TL_NORETURN static void child_run(const struct private_farm *f, const struct pri
     int null_fd = open("/dev/null", O_RDONLY | O_CLOEXEC);
     if (log_fd < 0 || null_fd < 0 || dup2(null_fd, 0) < 0 || dup2(out_fd, 1) < 0 ||
         dup2(log_fd, 2) < 0)
+        _exit(126);
+    /* The copy outlives exec; where it is the same already, dup2 would keep it from that. */
+    if (child == &f->master && (f->listen_fd == LISTEN_FD ? fcntl(LISTEN_FD, F_SETFD, 0)
+                                                          : dup2(f->listen_fd, LISTEN_FD)) < 0)
         _exit(126);
     (void)setpgid(0, 0);
     (void)setenv("TILERY_TOKEN", f->token, 1);
@@ -198,12 +219,13 @@ static enum err child_start(struct private_farm *f, struct private_child *child,
 
 static enum err master_start(struct private_farm *f)
 {
-    char data[PATH_BYTES], token[PATH_BYTES];
+    char data[PATH_BYTES], token[PATH_BYTES], listen_fd[8];
     format(data, sizeof data, "%s/master", f->folder);
     format(token, sizeof token, "%s/token", f->folder);
+    format(listen_fd, sizeof listen_fd, "%d", LISTEN_FD);
     const char *arguments[MASTER_ARGUMENTS] = {"tilery-master",
-                                               "--listen",
-                                               f->listen[0] ? f->listen : "127.0.0.1:0",
+                                               "--listen-socket",
+                                               listen_fd,
                                                "--http",
                                                f->http[0] ? f->http : "127.0.0.1:0",
                                                "--data",
@@ -227,7 +249,8 @@ static enum err worker_start(struct private_farm *f, struct private_child *child
 
 enum err private_farm_start(struct private_farm *f, uint32_t worker_count, uint32_t threads)
 {
-    *f = (struct private_farm){.worker_count = worker_count, .threads = threads, .lock_fd = -1};
+    *f = (struct private_farm){
+        .worker_count = worker_count, .threads = threads, .listen_fd = -1, .lock_fd = -1};
     f->workers = mem_calloc(worker_count, sizeof *f->workers);
     format(f->master.name, sizeof f->master.name, "master");
     for (uint32_t i = 0; f->workers && i < worker_count; i++)
@@ -236,7 +259,11 @@ enum err private_farm_start(struct private_farm *f, uint32_t worker_count, uint3
     if (e == ERR_OK)
         e = make_folder(f);
     if (e == ERR_OK)
+        e = make_socket(f);
+    if (e == ERR_OK)
         e = master_start(f);
+    for (uint32_t i = 0; e == ERR_OK && i < f->worker_count; i++)
+        e = worker_start(f, &f->workers[i]);
     if (e != ERR_OK)
         private_farm_end(f, 0);
     return e;
@@ -300,24 +327,20 @@ static void say_end(struct private_farm *f, const struct private_child *child, i
     quote_log(f, child);
 }
 
-/* {"listen": "ADDR:PORT", "http": "ADDR:PORT"} */
+/* {"listen": "ADDR:PORT", "http": "ADDR:PORT"}, of which the first is known. */
 static bool read_addresses(struct private_farm *f, const char *line, size_t bytes)
 {
     struct json_get g;
     struct diag_list problems;
-    const char *listen_text = NULL, *http_text = NULL;
+    const char *http_text = NULL;
     diag_init(&problems);
     if (json_get_open(&g, line, bytes, "master", &problems) == ERR_OK) {
-        bool ok = json_get_text(&g, g.root, "listen", &listen_text) &&
-                  json_get_text(&g, g.root, "http", &http_text) && listen_text && http_text;
-        if (ok) {
-            format(f->listen, sizeof f->listen, "%s", listen_text);
+        if (json_get_text(&g, g.root, "http", &http_text) && http_text)
             format(f->http, sizeof f->http, "%s", http_text);
-        }
         json_get_close(&g);
     }
     diag_release(&problems);
-    return listen_text && http_text;
+    return http_text != NULL;
 }
 
 /* True if the child has just ended; then it is collected. By its own id: this process has other
@@ -357,11 +380,7 @@ static enum err read_handshake(struct private_farm *f)
 
 enum err private_farm_connect(struct private_farm *f)
 {
-    bool first = f->listen[0] == '\0';
-    TL_TRY(read_handshake(f));
-    for (uint32_t i = 0; first && i < f->worker_count; i++)
-        TL_TRY(worker_start(f, &f->workers[i]));
-    return ERR_OK;
+    return read_handshake(f);
 }
 
 static enum err child_restart(struct private_farm *f, struct private_child *child)
@@ -444,11 +463,13 @@ void private_farm_end(struct private_farm *f, int grace_ms)
         remove_tree(f->folder);
     if (f->lock_fd >= 0)
         (void)close(f->lock_fd);
+    if (f->listen_fd >= 0)
+        (void)close(f->listen_fd);
     mem_free(f->workers);
     f->workers = NULL;
     f->worker_count = 0;
     f->folder[0] = '\0';
-    f->lock_fd = -1;
+    f->lock_fd = f->listen_fd = -1;
     f->master = (struct private_child){0};
     explicit_bzero(f->token, sizeof f->token);
 }

@@ -3,10 +3,10 @@
  * A folder under $TMPDIR (or /tmp), mode 0700, holds the token, the master's data and
  * everyone's log; it goes when the farm ends, and what a killed `tilery` left is swept by
  * the next. Children run on loopback ports chosen by the
- * system, die with this process even if it is killed (PR_SET_PDEATHSIG), and are started
- * again a bounded number of times when they crash: the master on the same ports and data,
- * so that nothing acknowledged is rendered again.
- * Main thread only (the death signal follows the thread that forked).
+ * system, that for workers bound here and inherited by each master, die with this process even if
+ * it is killed (PR_SET_PDEATHSIG), and are started again a bounded number of times when they crash:
+ * the master on the same ports and data, so that nothing acknowledged is rendered again. Main
+ * thread only (the death signal follows the thread that forked).
  */
 #ifndef CLIENT_PRIVATE_FARM_H
 #define CLIENT_PRIVATE_FARM_H
@@ -33,16 +33,18 @@ struct private_farm {
     struct private_child master;
     struct private_child *workers; /* owned */
     uint32_t worker_count, threads;
+    int listen_fd;     /* where workers connect; the master's, whichever runs */
     int lock_fd;       /* held while we live: tells sweepers that the folder is in use */
     char failure[400]; /* what went wrong, in words */
 };
 
-/* Makes the folder and starts the master; does not wait for it. On failure `failure` says why and
- * private_farm_end has been done. */
+/* Makes the folder and the socket for workers, and starts master and workers at once: who connects
+ * before the master listens waits in the socket's queue. Does not wait for them. On failure
+ * `failure` says why and private_farm_end has been done. */
 TL_NODISCARD enum err private_farm_start(struct private_farm *f, uint32_t worker_count,
                                          uint32_t threads);
 
-/* Reads the master's line if it has come, then starts the workers. ERR_AGAIN: not yet (wait on
+/* Reads the master's line if it has come. ERR_AGAIN: not yet (wait on
  * private_farm_fd). ERR_IO: the master failed; `failure` says how. */
 TL_NODISCARD enum err private_farm_connect(struct private_farm *f);
 

@@ -349,7 +349,7 @@ enum err farm_start(struct farm *f, uv_loop_t *loop, const struct farm_options *
         return e;
     }
     TL_TRY(transport_new(loop, &f->transport));
-    return workers_listen(f, o->listen);
+    return workers_listen(f, o->listen, o->listen_socket);
 }
 
 static void on_handle_closed(uv_handle_t *handle)

@@ -91,8 +91,8 @@ struct job {
     uint64_t counts_stored;                 /* sum of what is counted in units, as the row has it */
 
     /* For the report. */
-    int64_t ready_us, last_result_us;
-    uint64_t rate_samples; /* samples at the last rate sample */
+    int64_t ready_us, first_result_us, last_result_us; /* the first of this master */
+    uint64_t rate_samples;                             /* samples at the last rate sample */
     uint64_t contributors; /* workers that gave results: bits of worker ids are in `seen` */
     uint32_t *seen;        /* ids of contributors, sorted by arrival */
     size_t seen_capacity;
@@ -189,6 +189,7 @@ struct farm {
 
 struct farm_options {
     const char *listen, *data_dir, *token;
+    int listen_socket; /* a bound socket instead of listen, which says where it is; -1: none */
     const struct tls_party *tls; /* for workers; NULL: in clear; outlives the farm */
     bool determinism_pinned;
     digest determinism;
@@ -383,7 +384,7 @@ enum err verify_load_blame(void *farm, uint64_t job, const struct sched_blame *b
 
 /* --- workers.c ------------------------------------------------------------ */
 
-TL_NODISCARD enum err workers_listen(struct farm *f, const char *address);
+TL_NODISCARD enum err workers_listen(struct farm *f, const char *address, int fd);
 void workers_stop(struct farm *f);
 void workers_release(struct farm *f);
 /* Sends to a worker by id; nothing when it is gone. */

@@ -73,6 +73,7 @@ static enum err start(struct program *p, const struct options *o)
 {
     TL_TRY(read_tls(p, o));
     struct farm_options farm = {.listen = o->listen,
+                                .listen_socket = o->listen_socket,
                                 .data_dir = o->data,
                                 .token = o->token,
                                 .tls = p->tls,

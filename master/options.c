@@ -1,6 +1,7 @@
 #include "master/options.h"
 
 #include <getopt.h>
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -17,6 +18,7 @@ static const char help[] =
     "Takes jobs over HTTP, leases their tiles to workers, gathers the pictures.\n"
     "\n"
     "  --listen ADDR:PORT     for workers (127.0.0.1:7000; port 0: any)\n"
+    "  --listen-socket FD     the same, on an inherited socket that is bound\n"
     "  --http ADDR:PORT       for people and programs (127.0.0.1:8080; port 0: any)\n"
     "  --data DIR             jobs, results, scenes (./tilery-data); one master each\n"
     "  --token-file F         first line: what workers and people must show\n"
@@ -119,6 +121,7 @@ static bool parse_days(const char *text, uint32_t *seconds, int *status)
 
 enum {
     OPT_LISTEN = 256,
+    OPT_LISTEN_SOCKET,
     OPT_HTTP,
     OPT_DATA,
     OPT_TOKEN,
@@ -136,6 +139,7 @@ enum {
 
 static const struct option long_options[] = {
     {"listen", required_argument, NULL, OPT_LISTEN},
+    {"listen-socket", required_argument, NULL, OPT_LISTEN_SOCKET},
     {"http", required_argument, NULL, OPT_HTTP},
     {"data", required_argument, NULL, OPT_DATA},
     {"token-file", required_argument, NULL, OPT_TOKEN},
@@ -152,6 +156,20 @@ static const struct option long_options[] = {
     {NULL, 0, NULL, 0},
 };
 
+/* Its address counts as if it had been given. */
+static bool take_socket(struct options *o, const char *text, int *status)
+{
+    char *end = NULL;
+    long fd = strtol(text, &end, 10);
+    if (end == text || *end || fd < 3 || fd > INT_MAX ||
+        !transport_socket_address((int)fd, o->socket_address, sizeof o->socket_address))
+        return wrong(status, "--listen-socket must be a bound TCP socket's number, not \"%s\"",
+                     text);
+    o->listen_socket = (int)fd;
+    o->listen = o->socket_address;
+    return true;
+}
+
 /* One option; false: *status says how to end. */
 static bool take(struct options *o, int option, int *status)
 {
@@ -159,6 +177,8 @@ static bool take(struct options *o, int option, int *status)
     case OPT_LISTEN:
         o->listen = optarg;
         return true;
+    case OPT_LISTEN_SOCKET:
+        return take_socket(o, optarg, status);
     case OPT_HTTP:
         o->http = optarg;
         return true;
@@ -212,6 +232,7 @@ bool options_parse(int argc, char **argv, struct options *out, int *status)
     *out = (struct options){.listen = "127.0.0.1:7000",
                             .http = "127.0.0.1:8080",
                             .data = "tilery-data",
+                            .listen_socket = -1,
                             .level = LOG_INFO};
     for (int option; (option = getopt_long(argc, argv, "", long_options, NULL)) != -1;)
         if (!take(out, option, status)) {

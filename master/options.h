@@ -8,8 +8,10 @@
 
 struct options {
     const char *listen, *http, *data; /* of argv, or defaults */
+    char socket_address[64];          /* where it is bound */
     char *token;                      /* owned; NULL: none */
     struct tls_files tls;             /* certificate NULL: in clear */
+    int listen_socket;                /* a bound socket to be used instead of listen; -1: none */
     bool insecure, no_sync, determinism_pinned;
     digest determinism;
     enum log_level level;

@@ -312,6 +312,8 @@ static void on_stored(void *ctx, enum err e)
             add_totals(job, &s->record);
             note_contributor(job, s->record.worker);
             job->last_result_us = farm_wall_us();
+            if (job->first_result_us == 0)
+                job->first_result_us = job->last_result_us;
         } else {
             log_error("results", "stored result not added job=j%" PRIu64 " error=%s", s->record.job,
                       err_name(e));

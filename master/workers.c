@@ -633,7 +633,7 @@ static void on_open(void *ctx, struct conn *c)
 
 /* --- Start and stop ------------------------------------------------------ */
 
-enum err workers_listen(struct farm *f, const char *address)
+enum err workers_listen(struct farm *f, const char *address, int fd)
 {
     struct conn_options options = {
         .peer_side = FRAME_SIDE_WORKER,
@@ -649,7 +649,8 @@ enum err workers_listen(struct farm *f, const char *address)
     };
     uint32_t people, connections;
     farm_connection_limits(FARM_PEOPLE_MAX, &people, &connections);
-    enum err e = listener_new(f->transport, address, connections, &options, &f->listener);
+    enum err e = fd >= 0 ? listener_adopt(f->transport, fd, connections, &options, &f->listener)
+                         : listener_new(f->transport, address, connections, &options, &f->listener);
     if (e != ERR_OK)
         log_error("master", "cannot listen for workers address=%s error=\"%s\"", address,
                   e == ERR_USAGE ? "not an ADDRESS:PORT" : err_text(e));

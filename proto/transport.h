@@ -55,6 +55,9 @@ TL_NODISCARD enum err transport_new(struct uv_loop_s *loop, struct transport **o
  * from later turns of the loop; the transport frees itself after that. */
 void transport_close(struct transport *t, void (*done)(void *ctx), void *ctx);
 
+/* Where a bound TCP socket is, as "127.0.0.1:7000"; false: it is none. */
+bool transport_socket_address(int fd, char *out, size_t bytes);
+
 /* True for "HOST:PORT" and "[v6]:PORT", as conn_connect and listener_new take them. */
 bool transport_host_port_valid(const char *host_port);
 
@@ -153,6 +156,10 @@ struct listener; /* opaque; closed by listener_close or transport_close */
  * ERR_USAGE: not an address; ERR_ADDRESS: cannot be bound; ERR_NOMEM. */
 TL_NODISCARD enum err listener_new(struct transport *t, const char *addr_port, uint32_t conn_max,
                                    const struct conn_options *options, struct listener **out);
+/* The same on a bound socket, which becomes the listener's whatever happens; ERR_ADDRESS: it is
+ * none. Who connected before finds its place in the queue. */
+TL_NODISCARD enum err listener_adopt(struct transport *t, int fd, uint32_t conn_max,
+                                     const struct conn_options *options, struct listener **out);
 void listener_close(struct listener *l);
 
 /* "127.0.0.1:7000", with the port really bound. */

@@ -27,6 +27,20 @@ void transport_address_text(const struct sockaddr *address, char *out, size_t by
     (void)snprintf(out, bytes, six ? "[%s]:%u" : "%s:%u", host, port);
 }
 
+bool transport_socket_address(int fd, char *out, size_t bytes)
+{
+    struct sockaddr_storage bound = {0};
+    socklen_t bound_bytes = sizeof bound;
+    int type = 0;
+    socklen_t type_bytes = sizeof type;
+    if (getsockopt(fd, SOL_SOCKET, SO_TYPE, &type, &type_bytes) != 0 || type != SOCK_STREAM ||
+        getsockname(fd, (struct sockaddr *)&bound, &bound_bytes) != 0 ||
+        (bound.ss_family != AF_INET && bound.ss_family != AF_INET6))
+        return false;
+    transport_address_text((struct sockaddr *)&bound, out, bytes);
+    return true;
+}
+
 /* Cuts "HOST:PORT" or "[v6]:PORT"; false if it is neither or the port is no number up to 65535. */
 static bool split_host_port(const char *text, char host[HOST_BYTES], char port[PORT_BYTES])
 {
@@ -235,6 +249,44 @@ void listener_close(struct listener *l)
     uv_close((uv_handle_t *)&l->tcp, on_listener_closed);
 }
 
+static struct listener *make_listener(struct transport *t, uint32_t conn_max,
+                                      const struct conn_options *options)
+{
+    TL_ASSERT(!t->closing && options->handlers.on_message);
+    struct listener *l = mem_calloc(1, sizeof *l);
+    if (!l)
+        return NULL;
+    l->transport = t;
+    l->options = *options;
+    l->conn_max = conn_max;
+    l->reserve_fd = open("/dev/null", O_RDONLY | O_CLOEXEC);
+    (void)uv_tcp_init(t->loop, &l->tcp); /* makes no socket: cannot fail */
+    l->tcp.data = l;
+    TAILQ_INSERT_TAIL(&t->listeners, l, in_listeners);
+    return l;
+}
+
+static enum err give_listener(struct listener *l, enum err e, struct listener **out)
+{
+    if (e == ERR_OK)
+        *out = l;
+    else
+        listener_close(l);
+    return e;
+}
+
+static enum err start_listening(struct listener *l)
+{
+    int status = uv_listen((uv_stream_t *)&l->tcp, BACKLOG, on_connection);
+    if (status < 0)
+        return status == UV_ENOMEM ? ERR_NOMEM : ERR_ADDRESS;
+    struct sockaddr_storage bound = {0};
+    int bound_bytes = sizeof bound;
+    status = uv_tcp_getsockname(&l->tcp, (struct sockaddr *)&bound, &bound_bytes);
+    transport_address_text((struct sockaddr *)&bound, l->address, sizeof l->address);
+    return status < 0 ? ERR_IO : ERR_OK;
+}
+
 /* Binds the first address that the name stands for. */
 static enum err bind_and_listen(struct listener *l, const char *host, const char *port)
 {
@@ -247,42 +299,33 @@ static enum err bind_and_listen(struct listener *l, const char *host, const char
     if (request.addrinfo)
         status = uv_tcp_bind(&l->tcp, request.addrinfo->ai_addr, 0);
     uv_freeaddrinfo(request.addrinfo);
-    if (status == 0)
-        status = uv_listen((uv_stream_t *)&l->tcp, BACKLOG, on_connection);
     if (status < 0)
         return status == UV_ENOMEM ? ERR_NOMEM : ERR_ADDRESS;
-
-    struct sockaddr_storage bound = {0};
-    int bound_bytes = sizeof bound;
-    status = uv_tcp_getsockname(&l->tcp, (struct sockaddr *)&bound, &bound_bytes);
-    transport_address_text((struct sockaddr *)&bound, l->address, sizeof l->address);
-    return status < 0 ? ERR_IO : ERR_OK;
+    return start_listening(l);
 }
 
 enum err listener_new(struct transport *t, const char *addr_port, uint32_t conn_max,
                       const struct conn_options *options, struct listener **out)
 {
-    TL_ASSERT(!t->closing && options->handlers.on_message);
     char host[HOST_BYTES], port[PORT_BYTES];
     if (!split_host_port(addr_port, host, port))
         return ERR_USAGE;
-    struct listener *l = mem_calloc(1, sizeof *l);
+    struct listener *l = make_listener(t, conn_max, options);
     if (!l)
         return ERR_NOMEM;
-    l->transport = t;
-    l->options = *options;
-    l->conn_max = conn_max;
-    l->reserve_fd = open("/dev/null", O_RDONLY | O_CLOEXEC);
-    (void)uv_tcp_init(t->loop, &l->tcp); /* makes no socket: cannot fail */
-    l->tcp.data = l;
-    TAILQ_INSERT_TAIL(&t->listeners, l, in_listeners);
-    enum err e = bind_and_listen(l, host, port);
-    if (e != ERR_OK) {
-        listener_close(l);
-        return e;
+    return give_listener(l, bind_and_listen(l, host, port), out);
+}
+
+enum err listener_adopt(struct transport *t, int fd, uint32_t conn_max,
+                        const struct conn_options *options, struct listener **out)
+{
+    struct listener *l = make_listener(t, conn_max, options);
+    (void)fcntl(fd, F_SETFD, FD_CLOEXEC); /* it was inherited, and goes no further */
+    if (!l || uv_tcp_open(&l->tcp, fd) < 0) {
+        (void)close(fd);
+        return l ? give_listener(l, ERR_ADDRESS, out) : ERR_NOMEM;
     }
-    *out = l;
-    return ERR_OK;
+    return give_listener(l, start_listening(l), out);
 }
 
 const char *listener_address(const struct listener *l)

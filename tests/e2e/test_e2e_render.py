@@ -58,6 +58,7 @@ def test_report_scenes(tmp_path, scene):
         assert isinstance(report[key], dict)
     for key in ("total", "load", "build", "render", "gather"):
         assert key in report["seconds"]
+    assert 0 < report["seconds"]["first_result"] <= report["seconds"]["total"]
     for key in ("total", "retried", "speculated", "rejected", "verified"):
         assert key in report["units"]
     for key in ("scene_sent", "results_received"):
