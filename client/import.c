@@ -198,12 +198,43 @@ static void show_vertex_colors(struct scene *s)
     }
 }
 
+/* The share of the model's extent that a height of 1 stands for: formats give it no unit. */
+static const double BUMP_EXTENT = 0.01;
+
+/* Heights get a unit; normals in disguise become normals. */
+static void settle_bumps(struct import *im)
+{
+    double low[3], high[3], extent = 0;
+    import_bounds(im, low, high);
+    for (int i = 0; i < 3; i++)
+        extent = high[i] - low[i] > extent ? high[i] - low[i] : extent;
+    for (size_t i = 0; i < im->scene.material_count; i++) {
+        struct scene_material *m = &im->scene.materials[i];
+        if (m->bump_texture == SCENE_NONE)
+            continue;
+        const struct scene_texture *t = &im->scene.textures[m->bump_texture];
+        if (m->type == SCENE_MATERIAL_PRINCIPLED && m->normal_texture == SCENE_NONE &&
+            t->type == SCENE_TEXTURE_IMAGE && import_is_normal_map(&im->scene.images[t->image])) {
+            m->normal_texture = m->bump_texture;
+            m->normal_scale = m->bump_scale;
+            m->bump_texture = SCENE_NONE;
+            continue;
+        }
+        m->bump_scale *= BUMP_EXTENT * extent;
+        if (import_once(im, IMPORT_ONCE_BUMP))
+            import_warn(im, "bump-unit", "change bump_scale in the scene that tilery import writes",
+                        "heights of bump maps have no unit: 1 is taken as a hundredth of the "
+                        "model's size");
+    }
+}
+
 enum err import_finish(struct import *im, struct job_spec *spec)
 {
     if (im->scene.object_count == 0)
         return refuse_empty(im);
     tell_left_out(im);
     show_vertex_colors(&im->scene);
+    settle_bumps(im);
     if (!im->has_lamp && im->scene.envmap.texture == SCENE_NONE) {
         import_warn(im, "sky-added", NULL, "no light in it; lit by a soft sky");
         TL_TRY(import_sky(im));

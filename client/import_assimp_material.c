@@ -168,8 +168,8 @@ static void take_surface(const struct aiMaterial *m, struct scene_material *out)
 static bool is_plain(const struct scene_material *m)
 {
     return m->metallic == 0 && m->specular == 0 && !m->alpha_used &&
-           m->normal_texture == SCENE_NONE && m->emission_texture == SCENE_NONE &&
-           m->metallic_roughness_texture == SCENE_NONE;
+           m->normal_texture == SCENE_NONE && m->bump_texture == SCENE_NONE &&
+           m->emission_texture == SCENE_NONE && m->metallic_roughness_texture == SCENE_NONE;
 }
 
 static enum err take_material(struct assimp_import *a, const struct aiMaterial *m,
@@ -186,6 +186,8 @@ static enum err take_material(struct assimp_import *a, const struct aiMaterial *
     if (out->texture == SCENE_NONE)
         TL_TRY(texture_of(a, m, aiTextureType_DIFFUSE, IMAGE_COLOR, &out->texture));
     TL_TRY(texture_of(a, m, aiTextureType_NORMALS, IMAGE_DATA, &out->normal_texture));
+    TL_TRY(texture_of(a, m, aiTextureType_HEIGHT, IMAGE_DATA, &out->bump_texture));
+    (void)number_of(m, "$mat.bumpscaling", -1e6, 1e6, &out->bump_scale);
     TL_TRY(texture_of(a, m, aiTextureType_EMISSIVE, IMAGE_COLOR, &out->emission_texture));
     if (out->texture != SCENE_NONE && largest(out->color) <= 0)
         out->color[0] = out->color[1] = out->color[2] = 1;

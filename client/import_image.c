@@ -137,3 +137,14 @@ enum err import_image_bytes(struct import *im, const char *key, const void *data
     *out = known ? known->image : image;
     return ERR_OK;
 }
+
+bool import_is_normal_map(const struct scene_image *image)
+{
+    if (image->format == SCENE_IMAGE_F32 || image->channel_count < 3)
+        return false;
+    const unsigned char *p = image->pixels;
+    size_t count = (size_t)image->width * image->height, blue = 0;
+    for (size_t i = 0; i < count; i++, p += image->channel_count)
+        blue += p[2] > 128 && p[2] >= p[0] && p[2] >= p[1] && (p[2] > p[0] || p[2] > p[1]);
+    return blue > count / 2;
+}

@@ -68,6 +68,9 @@ TL_NODISCARD enum err import_image_file(struct import *im, const char *path, enu
 TL_NODISCARD enum err import_image_bytes(struct import *im, const char *key, const void *data,
                                          size_t bytes, enum image_use use, uint32_t *out);
 
+/* Blue on the whole: normals that were saved under the name of a bump map. */
+bool import_is_normal_map(const struct scene_image *image);
+
 /* Warnings about the model: `id` as in docs/ERRORS.md. */
 void import_warn(struct import *im, const char *id, const char *hint, const char *format, ...)
     TL_PRINTF(4, 5);
@@ -82,6 +85,7 @@ enum import_once {
     IMPORT_ONCE_VOLUME,
     IMPORT_ONCE_DETAIL_MAP,
     IMPORT_ONCE_BUMP,
+    IMPORT_ONCE_NORMAL_MAP,
     IMPORT_ONCE_SHEAR,
     IMPORT_ONCE_SKIN,
     IMPORT_ONCE_ALPHA_MAP,

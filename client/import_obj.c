@@ -192,20 +192,8 @@ static enum err map_texture(struct import *im, const char *folder, const struct 
     return import_add_texture(im, &t, map->path, out);
 }
 
-/* Blue on the whole: normals that were saved under the name of a bump map. */
-static bool is_normal_map(const struct scene_image *image)
-{
-    if (image->format == SCENE_IMAGE_F32 || image->channel_count < 3)
-        return false;
-    const unsigned char *p = image->pixels;
-    size_t count = (size_t)image->width * image->height, blue = 0;
-    for (size_t i = 0; i < count; i++, p += image->channel_count)
-        blue += p[2] > 128 && p[2] >= p[0] && p[2] >= p[1] && (p[2] > p[0] || p[2] > p[1]);
-    return blue > count / 2;
-}
-
-static enum err normal_texture(struct import *im, const char *folder, const struct mtl_material *m,
-                               struct scene_material *out)
+static enum err take_relief(struct import *im, const char *folder, const struct mtl_material *m,
+                            struct scene_material *out)
 {
     if (m->maps[MTL_MAP_NORMAL].path) {
         out->normal_scale = m->maps[MTL_MAP_NORMAL].bump;
@@ -215,12 +203,12 @@ static enum err normal_texture(struct import *im, const char *folder, const stru
     TL_TRY(map_texture(im, folder, &m->maps[MTL_MAP_BUMP], IMAGE_DATA, &t));
     if (t == SCENE_NONE)
         return ERR_OK;
-    if (is_normal_map(&im->scene.images[im->scene.textures[t].image])) {
+    if (import_is_normal_map(&im->scene.images[im->scene.textures[t].image])) {
         out->normal_texture = t;
         out->normal_scale = m->maps[MTL_MAP_BUMP].bump;
-    } else if (import_once(im, IMPORT_ONCE_BUMP)) {
-        import_warn(im, "bump-left-out", "bake it into a normal map (norm)",
-                    "bump maps of heights are left out");
+    } else {
+        out->bump_texture = t;
+        out->bump_scale = m->maps[MTL_MAP_BUMP].bump;
     }
     return ERR_OK;
 }
@@ -309,6 +297,12 @@ static enum err make_material(struct import *im, const char *folder, const struc
 {
     scene_material_init(out);
     out->twosided = true;
+    TL_TRY(take_relief(im, folder, m, out));
+    if ((is_glass(m) || is_mirror(m)) && out->normal_texture != SCENE_NONE) {
+        out->normal_texture = SCENE_NONE;
+        if (import_once(im, IMPORT_ONCE_NORMAL_MAP))
+            import_warn(im, "left-out", NULL, "normal maps of glass and mirrors are left out");
+    }
     if (is_glass(m)) {
         out->type = SCENE_MATERIAL_GLASS;
         out->eta = m->ni > 1 ? m->ni : 1.5;
@@ -322,7 +316,6 @@ static enum err make_material(struct import *im, const char *folder, const struc
     }
     TL_TRY(map_texture(im, folder, &m->maps[MTL_MAP_KD], IMAGE_COLOR, &out->texture));
     TL_TRY(map_texture(im, folder, &m->maps[MTL_MAP_KE], IMAGE_COLOR, &out->emission_texture));
-    TL_TRY(normal_texture(im, folder, m, out));
     /* Exporters write Kd 0 or leave it out beside a picture that is meant as it is. */
     static const double white[3] = {1, 1, 1};
     bool plain = out->texture != SCENE_NONE && (!m->has_kd || largest(m->kd) <= 0);

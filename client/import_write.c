@@ -188,6 +188,9 @@ static void put_material(const struct import_writer *w, struct buf *b,
             buf_printf(b, ", \"vertex_colors\": true");
         break;
     }
+    put_texture_use(w, b, "bump_texture", m->bump_texture);
+    if (m->bump_texture != SCENE_NONE)
+        put_number(b, "bump_scale", m->bump_scale);
     buf_printf(b, "}");
 }
 

@@ -168,6 +168,8 @@ static void codec_material(struct codec *c, struct scene_material *m)
     codec_bool(c, &m->twosided);
     codec_bool(c, &m->vertex_colors);
     codec_enum(c, &m->distribution, SCENE_GGX);
+    codec_u32(c, &m->bump_texture);
+    codec_f64s(c, &m->bump_scale, 1);
     codec_f64s(c, &m->alpha_x, 1);
     codec_f64s(c, &m->alpha_y, 1);
     codec_f64s(c, &m->eta, 1);

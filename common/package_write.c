@@ -123,6 +123,7 @@ static void renumber_all(struct trimmed *t)
         renumber(&m->metallic_roughness_texture, t->texture_map);
         renumber(&m->emission_texture, t->texture_map);
         renumber(&m->normal_texture, t->texture_map);
+        renumber(&m->bump_texture, t->texture_map);
         renumber(&m->transmission_texture, t->texture_map);
     }
     for (size_t i = 0; i < s->texture_count; i++)

@@ -49,6 +49,8 @@ void scene_material_init(struct scene_material *m)
         .type = SCENE_MATERIAL_DIFFUSE,
         .texture = SCENE_NONE,
         .distribution = SCENE_BECKMANN,
+        .bump_texture = SCENE_NONE,
+        .bump_scale = 1,
         .alpha_x = 0.1,
         .alpha_y = 0.1,
         .eta = 1.5,
@@ -209,6 +211,7 @@ static bool material_valid(const struct scene *s, const struct scene_material *m
                     index_valid(m->metallic_roughness_texture, s->texture_count) &&
                     index_valid(m->emission_texture, s->texture_count) &&
                     index_valid(m->normal_texture, s->texture_count) &&
+                    index_valid(m->bump_texture, s->texture_count) &&
                     index_valid(m->transmission_texture, s->texture_count);
     bool colors = none_negative(m->color, 3) && none_negative(m->R, 3) && none_negative(m->T, 3) &&
                   none_negative(m->etaI, 3) && none_negative(m->etaT, 3) &&
@@ -221,7 +224,7 @@ static bool material_valid(const struct scene *s, const struct scene_material *m
            (unsigned)m->distribution <= SCENE_GGX && textures && colors && unit &&
            positive(m->alpha_x) && positive(m->alpha_y) && positive(m->eta) &&
            none_negative(&m->specular, 1) && all_finite(&m->normal_scale, 1) &&
-           all_finite(&m->alpha_cutoff, 1);
+           all_finite(&m->bump_scale, 1) && all_finite(&m->alpha_cutoff, 1);
 }
 
 static bool all_in_unit_f32(const float *v, size_t count)

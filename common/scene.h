@@ -83,6 +83,8 @@ struct scene_material {
     bool twosided;      /* diffuse: reflects on both sides of the normal */
     bool vertex_colors; /* diffuse, principled: times the mesh's colours, where it has some */
     enum scene_distribution distribution;
+    uint32_t bump_texture;   /* heights along the normal, as luminance; SCENE_NONE: none */
+    double bump_scale;       /* world units that a height of 1 stands for */
     double alpha_x, alpha_y; /* roughness of microfacets, as in alpha = roughness^2 */
     double eta;              /* relative index of refraction, inside over outside */
     double R[3], T[3];

@@ -221,6 +221,13 @@ static void load_alpha(struct scene_loader *l, const struct json *v, struct scen
     m->distribution = (enum scene_distribution)distribution;
 }
 
+static void load_bump(struct scene_loader *l, const struct json *v, struct scene_material *m)
+{
+    m->bump_texture = scene_load_reference(l, v, "bump_texture", &l->textures, "texture");
+    (void)json_get_number(&l->g, v, "bump_scale", -SCENE_NUMBER_MAX, SCENE_NUMBER_MAX,
+                          &m->bump_scale);
+}
+
 static void load_eta(struct scene_loader *l, const struct json *v, struct scene_material *m)
 {
     (void)json_get_number(&l->g, v, "eta", 1 / ETA_MAX, ETA_MAX, &m->eta);
@@ -228,9 +235,10 @@ static void load_eta(struct scene_loader *l, const struct json *v, struct scene_
 
 static void load_diffuse(struct scene_loader *l, const struct json *v, struct scene_material *m)
 {
-    static const char *const keys[] = {"type", "texture_name", "color", "twosided",
-                                       "vertex_colors"};
+    static const char *const keys[] = {"type",          "texture_name", "color",     "twosided",
+                                       "vertex_colors", "bump_texture", "bump_scale"};
     SCENE_LOAD_KEYS(l, v, keys);
+    load_bump(l, v, m);
     load_albedo(l, v, "color", true, m);
     (void)json_get_bool(&l->g, v, "vertex_colors", &m->vertex_colors);
     (void)json_get_bool(&l->g, v, "twosided", &m->twosided);
@@ -238,8 +246,9 @@ static void load_diffuse(struct scene_loader *l, const struct json *v, struct sc
 
 static void load_mirror(struct scene_loader *l, const struct json *v, struct scene_material *m)
 {
-    static const char *const keys[] = {"type", "R"};
+    static const char *const keys[] = {"type", "R", "bump_texture", "bump_scale"};
     SCENE_LOAD_KEYS(l, v, keys);
+    load_bump(l, v, m);
     (void)scene_load_color(l, v, "R", m->R);
 }
 
@@ -252,8 +261,9 @@ static void load_refraction(struct scene_loader *l, const struct json *v, struct
 
 static void load_glass(struct scene_loader *l, const struct json *v, struct scene_material *m)
 {
-    static const char *const keys[] = {"type", "eta", "R", "T"};
+    static const char *const keys[] = {"type", "eta", "R", "T", "bump_texture", "bump_scale"};
     SCENE_LOAD_KEYS(l, v, keys);
+    load_bump(l, v, m);
     load_eta(l, v, m);
     (void)scene_load_color(l, v, "R", m->R);
     (void)scene_load_color(l, v, "T", m->T);
@@ -262,9 +272,11 @@ static void load_glass(struct scene_loader *l, const struct json *v, struct scen
 static void load_rough_conductor(struct scene_loader *l, const struct json *v,
                                  struct scene_material *m)
 {
-    static const char *const keys[] = {"type", "texture_name", "R", "alpha_x",     "alpha_y",
-                                       "etaI", "etaT",         "k", "distribution"};
+    static const char *const keys[] = {"type",         "texture_name", "R",         "alpha_x",
+                                       "alpha_y",      "etaI",         "etaT",      "k",
+                                       "distribution", "bump_texture", "bump_scale"};
     SCENE_LOAD_KEYS(l, v, keys);
+    load_bump(l, v, m);
     load_albedo(l, v, "R", true, m);
     load_alpha(l, v, m);
     (void)scene_load_color(l, v, "etaI", m->etaI);
@@ -275,9 +287,11 @@ static void load_rough_conductor(struct scene_loader *l, const struct json *v,
 static void load_rough_dielectric(struct scene_loader *l, const struct json *v,
                                   struct scene_material *m)
 {
-    static const char *const keys[] = {"type",    "eta",     "R",           "T",
-                                       "alpha_x", "alpha_y", "distribution"};
+    static const char *const keys[] = {
+        "type",         "eta",          "R",         "T", "alpha_x", "alpha_y",
+        "distribution", "bump_texture", "bump_scale"};
     SCENE_LOAD_KEYS(l, v, keys);
+    load_bump(l, v, m);
     load_eta(l, v, m);
     load_alpha(l, v, m);
     (void)scene_load_color(l, v, "R", m->R);
@@ -343,6 +357,8 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
                                        "alpha_mode",
                                        "alpha_cutoff",
                                        "normal_scale",
+                                       "bump_texture",
+                                       "bump_scale",
                                        "twosided",
                                        "vertex_colors",
                                        "metallic_roughness_texture",
@@ -350,6 +366,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
                                        "normal_texture",
                                        "transmission_texture"};
     SCENE_LOAD_KEYS(l, v, keys);
+    load_bump(l, v, m);
     m->distribution = SCENE_GGX;
     load_albedo(l, v, "color", false, m);
     load_eta(l, v, m);

@@ -74,8 +74,9 @@ static bool varies(const struct scene *s, uint32_t texture)
 static bool reads_uvs(const struct scene *s, const struct scene_material *m)
 {
     return m->alpha_x != m->alpha_y || m->normal_texture != SCENE_NONE ||
-           m->emission_texture != SCENE_NONE || varies(s, m->texture) ||
-           varies(s, m->metallic_roughness_texture) || varies(s, m->transmission_texture);
+           m->bump_texture != SCENE_NONE || m->emission_texture != SCENE_NONE ||
+           varies(s, m->texture) || varies(s, m->metallic_roughness_texture) ||
+           varies(s, m->transmission_texture);
 }
 
 /* --- Marking ------------------------------------------------------------- */
@@ -130,6 +131,9 @@ static void mark_material(struct scene_plan *p, const struct scene *s, uint32_t 
     mark_texture(p, s, m.transmission_texture, SCENE_CHANNEL_R);
     mark_texture(p, s, m.emission_texture, SCENE_CHANNELS_RGB);
     mark_texture(p, s, m.normal_texture, SCENE_CHANNELS_RGB);
+    mark_texture(p, s, m.bump_texture, SCENE_CHANNELS_RGB);
+    if (m.bump_texture != SCENE_NONE)
+        need(p, SCENE_FEATURE_BUMPS);
     if (m.normal_texture != SCENE_NONE)
         need(p, SCENE_FEATURE_NORMAL_MAPS);
     if (m.alpha_used && (m.texture != SCENE_NONE || m.alpha < 1))

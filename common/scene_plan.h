@@ -32,6 +32,7 @@
     X(PATTERNS, "patterns")                                                                        \
     X(FILTERED, "filtered textures")                                                               \
     X(NORMAL_MAPS, "normal maps")                                                                  \
+    X(BUMPS, "bump maps")                                                                          \
     X(OPACITY, "opacity")                                                                          \
     X(NORMALS, "vertex normals")                                                                   \
     X(UVS, "texture coordinates")                                                                  \

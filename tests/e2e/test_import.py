@@ -7,6 +7,7 @@ import struct
 import subprocess
 import time
 import urllib.parse
+import zlib
 
 import pytest
 
@@ -74,6 +75,42 @@ def test_obj_with_materials(tmp_path):
     assert "environment_map" not in scene  # the lamp lights it
     assert 'no material "missing"' in said
     assert picture_hash(tmp_path, "m.obj") == picture_hash(tmp_path, "scene.json")
+
+
+def write_png(path, rows):
+    """8 bits of grey, or of RGB where a pixel is a triple."""
+    grey = isinstance(rows[0][0], int)
+    def chunk(kind, body):
+        return (struct.pack(">I", len(body)) + kind + body +
+                struct.pack(">I", zlib.crc32(kind + body)))
+    body = b"".join(b"\0" + bytes(r if grey else sum(r, ())) for r in rows)
+    head = struct.pack(">IIBBBBB", len(rows[0]), len(rows), 8, 0 if grey else 2, 0, 0, 0)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) +
+                     chunk(b"IDAT", zlib.compress(body)) + chunk(b"IEND", b""))
+
+
+def test_bump_maps(tmp_path):
+    """Heights become a bump map in a hundredth of the size, normals in disguise a normal map."""
+    write_png(tmp_path / "heights.png", [[(x * y) % 256 for x in range(32)] for y in range(32)])
+    write_png(tmp_path / "normals.png", [[(128, 120 + x, 250) for x in range(8)]] * 8)
+    (tmp_path / "m.mtl").write_text(
+        "newmtl a\nKd .5 .5 .5\nmap_Bump -bm 3 heights.png\n"
+        "newmtl b\nKd .5 .5 .5\nbump normals.png\n"
+        "newmtl c\nillum 7\nNi 1.4\nTf 1 1 1\nbump heights.png\n")
+    (tmp_path / "m.obj").write_text(
+        "mtllib m.mtl\nv 0 0 0\nv 5 0 0\nv 0 4 0\nvt 0 0\nvt 1 0\nvt 0 1\n" +
+        "".join(f"usemtl {m}\nf 1/1 2/2 3/3\n" for m in "abc"))
+    scene, said = imported(tmp_path, "m.obj")
+    assert said.count("bump-unit") == 1
+    a, b, c = (scene["materials"][m] for m in "abc")
+    assert a["type"] == "diffuse" and abs(a["bump_scale"] - 3 * 0.01 * 5) < 1e-12
+    assert scene["textures"][a["bump_texture"]]["encoding"] == "linear"
+    assert b["type"] == "principled" and "normal_texture" in b and "bump_texture" not in b
+    assert c["type"] == "glass" and abs(c["bump_scale"] - 0.05) < 1e-12
+    assert picture_hash(tmp_path, "scene.json") == picture_hash(tmp_path, "m.obj")
+    a["bump_scale"] = 0
+    (tmp_path / "flat.json").write_text(json.dumps(scene))
+    assert picture_hash(tmp_path, "flat.json") != picture_hash(tmp_path, "m.obj")
 
 
 def test_missing_library_is_a_warning(tmp_path):

@@ -87,6 +87,8 @@ static void make_material(const struct scene *s, struct scene_material *m, size_
     m->type = (enum scene_material_type)draw(SCENE_MATERIAL_BLACK + 1);
     m->texture = draw_index(s->texture_count);
     m->normal_texture = draw_index(s->texture_count);
+    m->bump_texture = draw_index(s->texture_count);
+    m->bump_scale = draw_number();
     m->emission_texture = draw_index(s->texture_count);
     m->twosided = draw(2);
     m->vertex_colors = draw(2);

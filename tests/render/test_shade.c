@@ -177,6 +177,126 @@ static void vertex_colors_are_interpolated(void **state)
     }
 }
 
+/* Heights of a sheet over [0,2] x [0,2], uv = 2 xy by the texture's matrix; world units. */
+static double height_at(double x, double y, double slope[2])
+{
+    double sx, cx, sy, cy;
+    dmath_sincos(VEC_PI * x, &sx, &cx);
+    dmath_sincos(2 * VEC_PI * y, &sy, &cy);
+    slope[0] = 0.05 * VEC_PI * cx * cy;
+    slope[1] = -0.05 * 2 * VEC_PI * sx * sy;
+    return 0.05 * sx * cy;
+}
+
+enum { SHEET = 200 };
+
+/* A flat sheet with a map of these heights as values from 0 to 1, or the sheet itself, finely. */
+static uint32_t add_sheet(struct scene *s, enum scene_texture_filter filter)
+{
+    static const double corners[12] = {0, 0, 0, 2, 0, 0, 2, 2, 0, 0, 2, 0};
+    static const float uvs[8] = {0, 0, 1, 0, 1, 1, 0, 1};
+    struct scene_material *m;
+    double slope[2];
+    float *pixels = mem_alloc_array((size_t)SHEET * SHEET, sizeof *pixels);
+    for (int i = 0; i < SHEET * SHEET; i++) /* row 0 on top */
+        pixels[i] = (float)(0.5 + height_at((i % SHEET + 0.5) * 2 / SHEET,
+                                            (SHEET - 0.5 - i / SHEET) * 2 / SHEET, slope));
+    uint32_t texture = kit_constant_texture(s, 1);
+    char *name = s->textures[texture].name;
+    scene_image_texture_init(&s->textures[texture]);
+    s->textures[texture].name = name;
+    s->textures[texture].filter = filter;
+    s->textures[texture].image = 0;
+    /* The surface's coordinates run along y and x; the matrix undoes it. */
+    memcpy(s->textures[texture].uv_matrix, (double[6]){0, 1, 0, 1, 0, 0}, 6 * sizeof(double));
+    s->images = mem_alloc(sizeof *s->images);
+    s->images[0] = (struct scene_image){SHEET, SHEET, 1, SCENE_IMAGE_F32, pixels};
+    s->image_count = 1;
+    uint32_t material = kit_material(s, SCENE_MATERIAL_DIFFUSE, &m);
+    m->bump_texture = texture;
+    uint32_t quad = kit_quad(s, corners, material);
+    struct scene_mesh *mesh = &s->meshes[s->objects[quad].mesh];
+    mesh->uvs = mem_alloc_array(8, sizeof *uvs);
+    for (int i = 0; i < 4; i++) {
+        mesh->uvs[2 * i] = uvs[2 * i + 1];
+        mesh->uvs[2 * i + 1] = uvs[2 * i];
+    }
+    return quad;
+}
+
+/* Against the normal of the heights, anywhere on the sheet; moved, turned and scaled, heights go
+ * with the world, not with the object. */
+static void bumps_are_normals_of_heights(void **state)
+{
+    (void)state;
+    static const double from_above[3] = {0, 0, -1};
+    for (int kind = 0; kind < 4; kind++) {
+        struct scene s;
+        struct render_scene *built;
+        scene_init(&s);
+        uint32_t quad = add_sheet(&s, kind == 1 ? SCENE_FILTER_BILINEAR : SCENE_FILTER_MIPMAP);
+        double size = kind == 2 ? 3 : 1, scale = kind == 3 ? -2 : 1;
+        s.materials[0].bump_scale = scale * size;
+        s.objects[quad].transform[0] = s.objects[quad].transform[5] = size;
+        /* Something far away, so that the scene's own scale is not 1. */
+        kit_sphere(&s, 30, 0, 0, 1, kit_diffuse(&s, 1, 1, 1));
+        struct job_spec spec = kit_spec(8, 1);
+        assert_int_equal(scene_build(&s, &spec, NULL, &built), ERR_OK);
+        double worst = 0;
+        for (int i = 0; i < 2000; i++) {
+            struct hit hit;
+            struct ray ray = {.tmax = VEC_INFINITY};
+            double x = (i % 50 + 0.51) * 2 / 50, y = (i / 50 + 0.37) * 2 / 40, slope[2];
+            vec3 org = v3_sub(v3(x * size, y * size, 5), v3_of(built->center));
+            v3_put(ray.org, v3_scale(org, built->scale));
+            memcpy(ray.dir, from_above, sizeof ray.dir);
+            accel_closest(built->accel, &ray, &hit);
+            assert_int_equal(hit.object, quad);
+            struct footprint fine = {.org = {{0.001, 0, 0}, {0, 0.001, 0}}};
+            struct shade at;
+            shade_of_hit(built, &hit, v3(0, 0, -1), kind ? NULL : &fine, &at);
+            (void)height_at(x, y, slope);
+            vec3 truth = v3_unit(v3(-scale * slope[0], -scale * slope[1], 1));
+            double apart = v3_length(v3_sub(truth, at.surface.ns));
+            worst = apart > worst ? apart : worst;
+            assert_true(at.surface.ng.z == 1 && at.tilt_alpha2 >= 0);
+        }
+        printf("  bumps %d: normals within %.1e of those of the heights\n", kind, worst);
+        assert_true(worst < 0.01);
+        render_scene_free(built);
+        scene_release(&s);
+    }
+}
+
+/* Nothing to go by, nothing bumped: a map of one height, a mesh without coordinates. On a ball,
+ * the pole is as good as any place. */
+static void bumps_without_direction(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct job_spec spec = kit_spec(16, 4);
+    bumpy(&s, SCENE_MATERIAL_DIFFUSE, (const double[]){0.5, 0.5, 1});
+    s.materials[0].bump_texture = s.materials[0].normal_texture;
+    s.materials[0].normal_texture = SCENE_NONE;
+    struct kit_picture flat = kit_render(&s, &spec, 0);
+    s.textures[0].type = SCENE_TEXTURE_CHECKERBOARD;
+    s.textures[0].filter = SCENE_FILTER_MIPMAP;
+    memcpy(s.camera.position, (double[3]){0, 0, 4}, sizeof s.camera.position);
+    struct kit_picture rough = kit_render(&s, &spec, 0);
+    s.materials[0].bump_texture = SCENE_NONE;
+    struct kit_picture none = kit_render(&s, &spec, 0);
+    double apart = 0;
+    for (size_t k = 0; k < 16 * 16 * 3; k++) {
+        assert_true(fabs(flat.mean[k] - none.mean[k]) <= 1e-6 * fabs(none.mean[k]) + 1e-9);
+        apart += fabs(rough.mean[k] - none.mean[k]);
+    }
+    assert_true(apart > 0.1 && rough.counters.nonfinite == 0);
+    kit_picture_free(&flat);
+    kit_picture_free(&rough);
+    kit_picture_free(&none);
+    scene_release(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -184,6 +304,8 @@ int main(void)
         cmocka_unit_test(grazing_light_fades),
         cmocka_unit_test(profiles_agree_on_bumps),
         cmocka_unit_test(flat_maps_change_nothing),
+        cmocka_unit_test(bumps_are_normals_of_heights),
+        cmocka_unit_test(bumps_without_direction),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -52,6 +52,8 @@ struct material {
     double sheen_alpha;
     double sheen_albedo[PRINCIPLED_SHEEN_TABLE]; /* over the cosine, by principled_prepare */
 
+    uint32_t bump_texture;
+    double bump_scale; /* scene units of a height of 1 */
     uint32_t normal_texture;
     double normal_scale;
     bool has_alpha; /* lets some light straight through */

@@ -24,6 +24,26 @@ static vec3 mapped_normal(const struct render_scene *scene, const struct materia
     return length2 > 0 ? v3_scale(n, 1 / sqrt(length2)) : s->ns;
 }
 
+/* The normal of the surface moved along n by a map of heights (Blinn 1978), as n less the gradient
+ * of the heights along the surface (Mikkelsen 2010, "Bump Mapping Unparametrized Surfaces on the
+ * GPU"). Where the map has no direction or no end, n. */
+static vec3 bumped_normal(const struct render_scene *scene, const struct hit *hit,
+                          const struct surface *s, const struct texture_footprint *footprint)
+{
+    const struct material *m = &scene->materials[s->material];
+    vec3 dpdu, dpdv, n = s->ns;
+    double slope[2];
+    if (!surface_tangents(scene, hit, &dpdu, &dpdv))
+        return n;
+    texture_gradient(&scene->textures[m->bump_texture], s->u, s->v, footprint, slope);
+    vec3 across = v3_cross(dpdv, n), along = v3_cross(n, dpdu);
+    double scale = m->bump_scale / v3_dot(dpdu, across);
+    vec3 gradient = v3_add(v3_scale(across, slope[0] * scale), v3_scale(along, slope[1] * scale));
+    vec3 bumped = v3_sub(n, gradient);
+    double length2 = v3_dot(bumped, bumped);
+    return length2 < 1e300 ? v3_scale(bumped, 1 / sqrt(length2)) : n;
+}
+
 static double clamp01(double x)
 {
     return x > 0 ? (x < 1 ? x : 1) : 0;
@@ -109,12 +129,14 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     out->tilt_alpha2 = 0;
     if (m->normal_texture != SCENE_NONE)
         s->ns = mapped_normal(scene, m, s, uv);
+    if (m->bump_texture != SCENE_NONE)
+        s->ns = bumped_normal(scene, hit, s, uv);
     /* A shading normal seen from behind where the surface is seen from the front, or the other
      * way about, says nothing: the geometric one takes over. */
     out->bent = (v3_dot(wo, s->ns) > 0) != (v3_dot(wo, s->ng) > 0);
     if (out->bent)
         s->ns = s->ng;
-    else if (m->normal_texture != SCENE_NONE)
+    else if (m->normal_texture != SCENE_NONE || m->bump_texture != SCENE_NONE)
         out->tilt_alpha2 = tilt_alpha2(v3_dot(out->smooth, s->ns));
     out->frame = m->is_anisotropic ? frame_along(s->ns, s->dpdu) : frame_of(s->ns);
     out->wo = frame_to_local(&out->frame, wo);

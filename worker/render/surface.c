@@ -179,3 +179,41 @@ void surface_of_hit(const struct render_scene *scene, const struct hit *hit, str
     else
         surface_of_triangle(scene, object, hit, out);
 }
+
+static bool triangle_tangents(const struct render_scene *scene, const struct render_object *object,
+                              const struct hit *hit, vec3 *dpdu, vec3 *dpdv)
+{
+    const struct render_mesh *mesh = &scene->meshes[object->mesh];
+    if (!mesh->uvs)
+        return false;
+    struct triangle t = triangle_of(mesh, hit);
+    double d[2][2];
+    for (int k = 0; k < 2; k++)
+        for (int j = 0; j < 2; j++)
+            d[k][j] = (double)mesh->uvs[2 * (size_t)t.index[k + 1] + (size_t)j] -
+                      (double)mesh->uvs[2 * (size_t)t.index[0] + (size_t)j];
+    double det = d[0][0] * d[1][1] - d[0][1] * d[1][0];
+    if (!(fabs(det) > 0))
+        return false;
+    vec3 e1 = v3_sub(t.v[1], t.v[0]), e2 = v3_sub(t.v[2], t.v[0]);
+    *dpdu = v3_scale(v3_sub(v3_scale(e1, d[1][1]), v3_scale(e2, d[0][1])), 1 / det);
+    *dpdv = v3_scale(v3_sub(v3_scale(e2, d[0][0]), v3_scale(e1, d[1][0])), 1 / det);
+    if (object->type == ACCEL_INSTANCE) {
+        *dpdu = affine_vector(object->to_scene, *dpdu);
+        *dpdv = affine_vector(object->to_scene, *dpdv);
+    }
+    return true;
+}
+
+bool surface_tangents(const struct render_scene *scene, const struct hit *hit, vec3 *dpdu,
+                      vec3 *dpdv)
+{
+    const struct render_object *object = &scene->objects[hit->object];
+    if (object->type != ACCEL_SPHERE)
+        return triangle_tangents(scene, object, hit, dpdu, dpdv);
+    vec3 n = v3_unit(v3_of(hit->ng));
+    double across = sqrt(n.x * n.x + n.y * n.y);
+    *dpdu = v3_scale(v3(-n.y, n.x, 0), 2 * VEC_PI * object->radius);
+    *dpdv = v3_scale(v3(n.x * n.z / across, n.y * n.z / across, -across), VEC_PI * object->radius);
+    return across > 0;
+}

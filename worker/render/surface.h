@@ -25,6 +25,11 @@ struct surface {
 /* What `hit` of a ray in scene space hit. */
 void surface_of_hit(const struct render_scene *scene, const struct hit *hit, struct surface *out);
 
+/* How the place changes with u and v at a hit. False where there are no such coordinates, or where
+ * they fold. */
+bool surface_tangents(const struct render_scene *scene, const struct hit *hit, vec3 *dpdu,
+                      vec3 *dpdv);
+
 /* A point on the side of the surface to which `w` points, off by the error bound. */
 static inline vec3 surface_offset(vec3 p, vec3 ng, double error, vec3 w)
 {

@@ -2,6 +2,9 @@
 
 #include "worker/render/srgb_table.h"
 
+/* Over which a checkerboard's slope is taken: half of it to either side, in its own space. */
+#define SLOPE_STEP (1.0 / 256)
+
 /* floor for every double; the compiler's own is a library call on the baseline. */
 static double floor_of(double x)
 {
@@ -114,6 +117,13 @@ static void map_uv(const struct texture *t, double u, double v, double *s, doubl
     *r = m[3] * u + m[4] * v + m[5];
 }
 
+static rgb checker_color(const struct texture *t, double s, double r)
+{
+    /* Same parity of floor(2 s) and floor(2 t): their sum is even. */
+    double sum = floor_of(2 * s) + floor_of(2 * r);
+    return t->color[sum - 2 * floor_of(sum / 2) != 0];
+}
+
 rgb texture_color(const struct texture *t, double u, double v)
 {
     if (t->type == SCENE_TEXTURE_CONSTANT)
@@ -124,9 +134,7 @@ rgb texture_color(const struct texture *t, double u, double v)
         at_point(t, s, r, c);
         return factored(t, c);
     }
-    /* Same parity of floor(2 s) and floor(2 t): their sum is even. */
-    double sum = floor_of(2 * s) + floor_of(2 * r);
-    return t->color[sum - 2 * floor_of(sum / 2) != 0];
+    return checker_color(t, s, r);
 }
 
 double texture_alpha(const struct texture *t, double u, double v)
@@ -245,20 +253,78 @@ static rgb checker_mean(const struct texture *t, double s, double r, const doubl
     return rgb_add(rgb_scale(t->color[0], 1 - second), rgb_scale(t->color[1], second));
 }
 
-rgb texture_filtered(const struct texture *t, double u, double v,
-                     const struct texture_footprint *footprint)
+static bool is_averaged(const struct texture *t, const struct texture_footprint *footprint)
 {
-    if (!footprint || t->filter != SCENE_FILTER_MIPMAP || t->type == SCENE_TEXTURE_CONSTANT)
-        return texture_color(t, u, v);
+    return footprint && t->filter == SCENE_FILTER_MIPMAP && t->type != SCENE_TEXTURE_CONSTANT;
+}
+
+static void map_footprint(const struct texture *t, const struct texture_footprint *footprint,
+                          double side[2][2])
+{
     const double *m = t->uv_matrix;
-    double s, r, c[4], side[2][2];
-    map_uv(t, u, v, &s, &r);
     for (int k = 0; k < 2; k++) {
         side[k][0] = m[0] * footprint->u[k] + m[1] * footprint->v[k];
         side[k][1] = m[3] * footprint->u[k] + m[4] * footprint->v[k];
     }
+}
+
+rgb texture_filtered(const struct texture *t, double u, double v,
+                     const struct texture_footprint *footprint)
+{
+    if (!is_averaged(t, footprint))
+        return texture_color(t, u, v);
+    double s, r, c[4], side[2][2];
+    map_uv(t, u, v, &s, &r);
+    map_footprint(t, footprint, side);
     if (t->type == SCENE_TEXTURE_CHECKERBOARD)
         return checker_mean(t, s, r, side);
     image_mean(t, s, r, side, c);
     return factored(t, c);
+}
+
+/* --- Slopes ---------------------------------------------------------------- */
+
+/* Luminance at a point of the texture's own space; `side` NULL: no footprint. */
+static double luminance_at(const struct texture *t, double s, double r, const double side[2][2])
+{
+    double c[4];
+    if (t->type == SCENE_TEXTURE_CHECKERBOARD)
+        return rgb_luminance(side ? checker_mean(t, s, r, side) : checker_color(t, s, r));
+    if (side)
+        image_mean(t, s, r, side, c);
+    else
+        at_point(t, s, r, c);
+    return rgb_luminance(factored(t, c));
+}
+
+void texture_gradient(const struct texture *t, double u, double v,
+                      const struct texture_footprint *footprint, double gradient[2])
+{
+    gradient[0] = gradient[1] = 0;
+    if (t->type == SCENE_TEXTURE_CONSTANT)
+        return;
+    double s, r, side[2][2], step[2] = {SLOPE_STEP, SLOPE_STEP};
+    const double(*wide)[2] = NULL;
+    map_uv(t, u, v, &s, &r);
+    if (t->type == SCENE_TEXTURE_IMAGE) {
+        step[0] = 1.0 / t->image->levels[0].width;
+        step[1] = 1.0 / t->image->levels[0].height;
+    }
+    if (is_averaged(t, footprint)) {
+        map_footprint(t, footprint, side);
+        wide = (const double(*)[2])side;
+        for (int k = 0; k < 2; k++) {
+            double across = fabs(side[0][k]) + fabs(side[1][k]);
+            step[k] = across > step[k] ? across : step[k];
+        }
+    }
+    double ds =
+        (luminance_at(t, s + step[0] / 2, r, wide) - luminance_at(t, s - step[0] / 2, r, wide)) /
+        step[0];
+    double dr =
+        (luminance_at(t, s, r + step[1] / 2, wide) - luminance_at(t, s, r - step[1] / 2, wide)) /
+        step[1];
+    const double *m = t->uv_matrix;
+    gradient[0] = m[0] * ds + m[3] * dr;
+    gradient[1] = m[1] * ds + m[4] * dr;
 }

@@ -86,4 +86,9 @@ double texture_alpha(const struct texture *t, double u, double v);
 rgb texture_filtered(const struct texture *t, double u, double v,
                      const struct texture_footprint *footprint);
 
+/* By how much its luminance changes with u and v: a difference over a texel of an image, or over
+ * the footprint where that is wider and asked for. */
+void texture_gradient(const struct texture *t, double u, double v,
+                      const struct texture_footprint *footprint, double gradient[2]);
+
 #endif

@@ -215,6 +215,7 @@ static void mark_uses(const struct scene *scene, struct image_use *uses)
         mark(scene, m.transmission_texture, false, uses);
         mark(scene, m.emission_texture, false, uses);
         mark(scene, m.normal_texture, false, uses);
+        mark(scene, m.bump_texture, false, uses);
     }
 }
 

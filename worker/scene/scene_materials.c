@@ -77,6 +77,7 @@ static void make_material(const struct scene *scene, const struct scene_material
                              .twosided = from->twosided,
                              .vertex_colors = from->vertex_colors,
                              .distribution = from->distribution,
+                             .bump_texture = from->bump_texture,
                              .alpha_x = from->alpha_x > ALPHA_MIN ? from->alpha_x : ALPHA_MIN,
                              .alpha_y = from->alpha_y > ALPHA_MIN ? from->alpha_y : ALPHA_MIN,
                              .eta = from->eta,
@@ -100,7 +101,7 @@ static void make_material(const struct scene *scene, const struct scene_material
     out->needs_uv = out->texture != SCENE_NONE || out->is_anisotropic ||
                     out->metallic_roughness_texture != SCENE_NONE ||
                     out->transmission_texture != SCENE_NONE || out->normal_texture != SCENE_NONE ||
-                    from->emission_texture != SCENE_NONE;
+                    out->bump_texture != SCENE_NONE || from->emission_texture != SCENE_NONE;
 }
 
 /* True if a lookup over a footprint may differ from one at a point. */
@@ -122,11 +123,13 @@ static void make_materials(struct render_scene *rs, const struct scene *scene)
         m->filtered = is_filtered(rs, m->texture) || is_filtered(rs, from->emission_texture) ||
                       is_filtered(rs, m->metallic_roughness_texture) ||
                       is_filtered(rs, m->transmission_texture) ||
-                      is_filtered(rs, m->normal_texture);
+                      is_filtered(rs, m->normal_texture) || is_filtered(rs, m->bump_texture);
+        m->bump_scale = from->bump_scale * rs->scale;
     }
     rs->materials[scene->material_count] = (struct material){.type = SCENE_MATERIAL_BLACK,
                                                              .texture = SCENE_NONE,
                                                              .normal_texture = SCENE_NONE,
+                                                             .bump_texture = SCENE_NONE,
                                                              .needs_uv = shows_uv,
                                                              .is_delta = true};
 }
