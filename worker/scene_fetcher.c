@@ -52,7 +52,6 @@ struct load {
     struct buf root, chunk;
     struct package_index index;
     struct render_scene *scene;
-    char *saved_tree;            /* what the cache found, while building */
     struct tree_write *new_tree; /* to be written behind the build; or NULL */
     TAILQ_ENTRY(load) in_loads;
 };
@@ -63,6 +62,7 @@ struct tree_write {
     struct scene_fetcher *loader;
     digest key;
     struct buf file;
+    size_t bytes; /* of the tree in it */
     TAILQ_ENTRY(tree_write) in_trees;
 };
 
@@ -238,11 +238,19 @@ static enum err fetch_chunk(void *ctx, size_t i, const struct package_index_entr
     return ERR_OK;
 }
 
-static bool find_tree(void *ctx, const digest *key, const void **data, size_t *bytes)
+static struct accel_runner runner_of(const struct load *load)
+{
+    struct pool *pool = load->loader->pool;
+    return (struct accel_runner){
+        .run = pool_run, .ctx = pool, .thread_count = pool_thread_count(pool)};
+}
+
+static bool find_tree(void *ctx, const digest *key, void **data, size_t *bytes)
 {
     struct load *load = ctx;
     struct tree_cache *trees = chunk_cache_trees(load->loader->cache);
-    return tree_cache_get(trees, key, &load->saved_tree, data, bytes) == ERR_OK;
+    struct accel_runner runner = runner_of(load);
+    return tree_cache_get(trees, key, &runner, data, bytes) == ERR_OK;
 }
 
 static void drop_tree(void *ctx, const digest *key)
@@ -262,8 +270,8 @@ static void keep_tree(void *ctx, const digest *key, const struct accel *accel)
     w->loader = load->loader;
     w->key = *key;
     buf_init(&w->file);
-    tree_cache_head(&w->file);
-    unsigned char *at = buf_extend(&w->file, accel_trees_bytes(accel));
+    w->bytes = accel_trees_bytes(accel);
+    unsigned char *at = tree_cache_room(&w->file, w->bytes);
     if (at) {
         accel_trees_save(accel, at);
         load->new_tree = w;
@@ -276,7 +284,7 @@ static void run_tree_write(struct pool_task *task, uint32_t thread)
 {
     (void)thread;
     struct tree_write *w = (struct tree_write *)task;
-    enum err e = tree_cache_put(chunk_cache_trees(w->loader->cache), &w->key, &w->file);
+    enum err e = tree_cache_put(chunk_cache_trees(w->loader->cache), &w->key, &w->file, w->bytes);
     if (e != ERR_OK)
         log_warn("cache", "tree not kept: the folder cannot take it error=%s", err_name(e));
 }
@@ -295,9 +303,7 @@ static void run_build(struct pool_task *task, uint32_t thread)
     load->load_seconds = read - load->begun;
     if (load->error == ERR_OK) {
         load->step = "cannot build the scene";
-        struct accel_runner runner = {.run = pool_run,
-                                      .ctx = load->loader->pool,
-                                      .thread_count = pool_thread_count(load->loader->pool)};
+        struct accel_runner runner = runner_of(load);
         struct scene_trees trees = {
             .find = find_tree, .drop = drop_tree, .keep = keep_tree, .ctx = load};
         bool kept = chunk_cache_trees(load->loader->cache) != NULL;
@@ -305,8 +311,6 @@ static void run_build(struct pool_task *task, uint32_t thread)
                                      .trees = kept ? &trees : NULL,
                                      .lazy_triangles_min = load->loader->lazy_triangles_min};
         load->error = scene_build_as(&scene, &load->spec, &how, &load->scene);
-        mem_free(load->saved_tree);
-        load->saved_tree = NULL;
         load->build_seconds = now_seconds() - read;
     }
     scene_release(&scene);

@@ -3,12 +3,14 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/checksum.h"
 #include "common/file_io.h"
 #include "common/log.h"
 #include "common/mem.h"
@@ -117,59 +119,180 @@ void tree_cache_free(struct tree_cache *c)
     mem_free(c);
 }
 
+/* --- The form of a file --------------------------------------------------- */
+
+/* The head, a checksum of each block of the body, the body; numbers as this machine has them. */
+struct head {
+    char magic[8];
+    uint64_t body_bytes, table_sum;
+    uint64_t pad[5];
+};
+
+enum { BLOCK_BYTES = 1 << 20 };
+
+static const char magic[8] = {'T', 'L', 'Y', 'K', 'E', 'P', 'T', '2'};
+
+static size_t block_count(size_t body_bytes)
+{
+    return body_bytes / BLOCK_BYTES + (body_bytes % BLOCK_BYTES > 0);
+}
+
+static size_t body_at(size_t body_bytes)
+{
+    return sizeof(struct head) + block_count(body_bytes) * sizeof(uint64_t);
+}
+
+static size_t block_bytes(size_t body_bytes, size_t block)
+{
+    size_t left = body_bytes - block * BLOCK_BYTES;
+    return left < BLOCK_BYTES ? left : BLOCK_BYTES;
+}
+
+/* Writes the head and the table in front of a body that is there. */
+static void seal(unsigned char *file, size_t body_bytes)
+{
+    struct head head = {.body_bytes = body_bytes};
+    size_t blocks = block_count(body_bytes), at = body_at(body_bytes);
+    for (size_t i = 0; i < blocks; i++) {
+        uint64_t sum = checksum64(file + at + i * BLOCK_BYTES, block_bytes(body_bytes, i));
+        memcpy(file + sizeof head + i * sizeof sum, &sum, sizeof sum);
+    }
+    memcpy(head.magic, magic, sizeof magic);
+    head.table_sum = checksum64(file + sizeof head, blocks * sizeof(uint64_t));
+    memcpy(file, &head, sizeof head);
+}
+
+/* --- Reading -------------------------------------------------------------- */
+
+/* A file being read, a block a task. */
+struct reading {
+    int fd;
+    size_t body_bytes;
+    uint64_t *sums; /* of its blocks, as the file says */
+    unsigned char *body;
+    atomic_bool changed;
+};
+
+static bool read_at(int fd, void *out, size_t bytes, size_t at)
+{
+    unsigned char *to = out;
+    while (bytes > 0) {
+        ssize_t got = pread(fd, to, bytes, (off_t)at);
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got <= 0)
+            return false;
+        to += got;
+        at += (size_t)got;
+        bytes -= (size_t)got;
+    }
+    return true;
+}
+
+static void read_block(void *arg, size_t block)
+{
+    struct reading *r = arg;
+    unsigned char *to = r->body + block * BLOCK_BYTES;
+    size_t bytes = block_bytes(r->body_bytes, block);
+    if (!read_at(r->fd, to, bytes, body_at(r->body_bytes) + block * BLOCK_BYTES) ||
+        checksum64(to, bytes) != r->sums[block])
+        atomic_store(&r->changed, true);
+}
+
+/* The head and the table; ERR_CORRUPT when they are not what was written. */
+static enum err read_table(struct reading *r, uint64_t file_bytes)
+{
+    struct head head;
+    if (file_bytes < sizeof head || !read_at(r->fd, &head, sizeof head, 0) ||
+        memcmp(head.magic, magic, sizeof magic) != 0 || head.body_bytes == 0 ||
+        head.body_bytes >= file_bytes || body_at(head.body_bytes) + head.body_bytes != file_bytes)
+        return ERR_CORRUPT;
+    size_t table_bytes = block_count(head.body_bytes) * sizeof *r->sums;
+    r->body_bytes = head.body_bytes;
+    r->sums = mem_alloc(table_bytes);
+    if (!r->sums)
+        return ERR_NOMEM;
+    bool same = read_at(r->fd, r->sums, table_bytes, sizeof head) &&
+                checksum64(r->sums, table_bytes) == head.table_sum;
+    return same ? ERR_OK : ERR_CORRUPT;
+}
+
+/* The whole body, on all threads. */
+static enum err read_body(struct reading *r, const struct accel_runner *runner)
+{
+    size_t align = r->body_bytes >= MEM_HUGE_PAGE ? MEM_HUGE_PAGE : 64;
+    size_t blocks = block_count(r->body_bytes);
+    r->body = mem_alloc_aligned(r->body_bytes, align);
+    if (!r->body)
+        return ERR_NOMEM;
+    if (runner && blocks > 1)
+        runner->run(runner->ctx, blocks, read_block, r);
+    for (size_t i = 0; (!runner || blocks == 1) && i < blocks; i++)
+        read_block(r, i);
+    return atomic_load(&r->changed) ? ERR_CORRUPT : ERR_OK;
+}
+
+static enum err read_file(struct tree_cache *c, const char *path, const struct accel_runner *runner,
+                          struct reading *r)
+{
+    struct stat st;
+    r->fd = open(path, O_RDONLY | O_CLOEXEC);
+    if (r->fd < 0)
+        return err_from_errno(errno);
+    if (fstat(r->fd, &st) != 0 || !S_ISREG(st.st_mode))
+        return ERR_IO;
+    /* A larger one was never put here: it is not read. */
+    if ((uint64_t)st.st_size > c->bytes_max)
+        return ERR_CORRUPT;
+    TL_TRY(read_table(r, (uint64_t)st.st_size));
+    return read_body(r, runner);
+}
+
 /* --- In and out ---------------------------------------------------------- */
 
-enum err tree_cache_get(struct tree_cache *c, const digest *key, char **owner, const void **data,
-                        size_t *bytes)
+enum err tree_cache_get(struct tree_cache *c, const digest *key, const struct accel_runner *runner,
+                        void **data, size_t *bytes)
 {
     char *path = path_of(c, key);
-    size_t file_bytes = 0;
+    struct reading r = {.fd = -1};
     if (!path)
         return ERR_NOMEM;
-    /* A larger one was never put here: it is dropped unread. */
-    enum err e = file_read(path, c->bytes_max, owner, &file_bytes);
-    if (e == ERR_LIMIT) {
-        log_warn("cache", "tree dropped: larger than the cache file=%s", path);
+    enum err e = read_file(c, path, runner, &r);
+    if (r.fd >= 0)
+        (void)close(r.fd);
+    mem_free(r.sums);
+    if (e == ERR_CORRUPT) {
+        log_warn("cache",
+                 "tree dropped: the disk has changed it, or it is of another version "
+                 "file=%s",
+                 path);
         (void)unlink(path);
         e = ERR_NOT_FOUND;
     }
     if (e == ERR_OK) {
-        digest found = {{0}}, said = {{1}};
-        if (file_bytes > DIGEST_BYTES) {
-            memcpy(said.bytes, *owner, DIGEST_BYTES);
-            found = digest_of(*owner + DIGEST_BYTES, file_bytes - DIGEST_BYTES);
-        }
-        if (!digest_equal(&found, &said)) {
-            log_warn("cache", "tree dropped: the disk has changed it file=%s", path);
-            (void)unlink(path);
-            mem_free(*owner);
-            *owner = NULL;
-            e = ERR_NOT_FOUND;
-        }
-    }
-    if (e == ERR_OK) {
         (void)utimensat(AT_FDCWD, path, NULL, 0); /* used now, for every process */
-        *data = *owner + DIGEST_BYTES;
-        *bytes = file_bytes - DIGEST_BYTES;
+        *data = r.body;
+        *bytes = r.body_bytes;
+    } else {
+        mem_free(r.body);
     }
     mem_free(path);
     return e;
 }
 
-void tree_cache_head(struct buf *file)
+unsigned char *tree_cache_room(struct buf *file, size_t bytes)
 {
-    static const unsigned char none[DIGEST_BYTES];
-    buf_put(file, none, sizeof none);
+    unsigned char *at = buf_extend(file, body_at(bytes) + bytes);
+    return at ? at + body_at(bytes) : NULL;
 }
 
-enum err tree_cache_put(struct tree_cache *c, const digest *key, struct buf *file)
+enum err tree_cache_put(struct tree_cache *c, const digest *key, struct buf *file, size_t bytes)
 {
     TL_TRY(buf_status(file));
-    TL_ASSERT(file->bytes > DIGEST_BYTES);
+    TL_ASSERT(bytes > 0 && file->bytes == body_at(bytes) + bytes);
     if (file->bytes > c->bytes_max)
         return ERR_OK;
-    digest d = digest_of(file->data + DIGEST_BYTES, file->bytes - DIGEST_BYTES);
-    memcpy(file->data, d.bytes, DIGEST_BYTES);
+    seal(file->data, bytes);
     if (mkdir(c->folder, 0777) != 0 && errno != EEXIST)
         return err_from_errno(errno);
     char *path = path_of(c, key);

@@ -1,5 +1,5 @@
 set(unit ${PROJECT_SOURCE_DIR}/tests/unit)
-foreach(name dmath file_io half json job_spec models package pictures scene_json)
+foreach(name checksum dmath file_io half json job_spec models package pictures scene_json)
   tilery_test(test_${name} LABEL unit LINKS tl_common m SOURCES ${unit}/test_${name}.c)
 endforeach()
 tilery_script_test(scene_schema LABEL unit COMMAND ${unit}/check_schema.py ${PROJECT_SOURCE_DIR})

@@ -321,32 +321,31 @@ static enum err motions_make(struct accel *a)
     return ERR_OK;
 }
 
-/* Trees from what was saved; false, and as before, when it does not hold. */
-static bool trees_restore(struct accel *a, const void *saved, size_t saved_bytes)
+/* Trees from what was saved, which is taken; without any, and freed, when it does not hold. */
+static void trees_restore(struct accel *a, void *saved, size_t saved_bytes,
+                          const struct accel_runner *runner)
 {
-    if (!saved || a->options.builder == JOB_BUILDER_NONE)
-        return false;
-    if (accel_trees_load(a, saved, saved_bytes) == ERR_OK)
-        return true;
-    bvh_release(&a->scene_tree);
-    a->scene_tree = (struct bvh){.root = BVH_EMPTY};
-    for (size_t i = 0; i < a->mesh_count; i++) {
-        bvh_release(&a->mesh_trees[i]);
-        a->mesh_trees[i] = (struct bvh){.root = BVH_EMPTY};
+    if (!saved)
+        return;
+    if (a->options.builder != JOB_BUILDER_NONE &&
+        accel_trees_load(a, saved, saved_bytes, runner) == ERR_OK) {
+        a->saved = saved;
+        return;
     }
-    return false;
+    accel_trees_forget(a);
+    mem_free(saved);
 }
 
 /* Where trees come from: one of both, or neither. */
 struct source {
-    const void *saved;
+    void *saved; /* taken once the input is copied */
     size_t saved_bytes;
     const struct accel_lazy_plan *plan;
     const struct accel_locks *locks;
 };
 
 static enum err build(struct accel *a, const struct accel_input *input,
-                      const struct accel_runner *runner, const struct source *from)
+                      const struct accel_runner *runner, struct source *from)
 {
     a->scene_tree.root = BVH_EMPTY;
     TL_TRY(copy_input(a, input));
@@ -354,8 +353,9 @@ static enum err build(struct accel *a, const struct accel_input *input,
     TL_TRY(motions_make(a));
     if (from->plan)
         TL_TRY(accel_lazy_begin(a, from->plan, from->locks));
-    a->restored = trees_restore(a, from->saved, from->saved_bytes);
-    if (!a->restored)
+    trees_restore(a, from->saved, from->saved_bytes, runner);
+    from->saved = NULL;
+    if (!a->saved)
         TL_TRY(trees_build(a, runner, from->plan));
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
@@ -381,16 +381,19 @@ static const struct trace_kernel *kernel_choose(const struct accel_options *o)
 }
 
 static enum err accel_make(const struct accel_input *input, const struct accel_options *options,
-                           const struct accel_runner *runner, const struct source *from,
+                           const struct accel_runner *runner, struct source from,
                            struct accel **out)
 {
     struct accel *a = mem_calloc(1, sizeof *a);
-    if (!a)
+    if (!a) {
+        mem_free(from.saved);
         return ERR_NOMEM;
+    }
     a->options = *options;
     a->kernel = kernel_choose(options);
     a->pad = options->precision == JOB_PRECISION_FAST ? TRACE_PAD_FAST : TRACE_PAD;
-    enum err err = build(a, input, runner, from);
+    enum err err = build(a, input, runner, &from);
+    mem_free(from.saved);
     if (err)
         accel_free(a);
     else
@@ -401,15 +404,15 @@ static enum err accel_make(const struct accel_input *input, const struct accel_o
 enum err accel_new(const struct accel_input *input, const struct accel_options *options,
                    const struct accel_runner *runner, struct accel **out)
 {
-    return accel_make(input, options, runner, &(struct source){.saved = NULL}, out);
+    return accel_make(input, options, runner, (struct source){.saved = NULL}, out);
 }
 
 enum err accel_new_saved(const struct accel_input *input, const struct accel_options *options,
-                         const struct accel_runner *runner, const void *saved, size_t saved_bytes,
+                         const struct accel_runner *runner, void *saved, size_t saved_bytes,
                          struct accel **out)
 {
     struct source from = {.saved = saved, .saved_bytes = saved_bytes};
-    return accel_make(input, options, runner, &from, out);
+    return accel_make(input, options, runner, from, out);
 }
 
 enum err accel_new_lazy(const struct accel_input *input, const struct accel_options *options,
@@ -418,7 +421,7 @@ enum err accel_new_lazy(const struct accel_input *input, const struct accel_opti
 {
     struct source from = {.plan = plan, .locks = locks};
     TL_ASSERT(plan->lazy_count > 0 && plan->object_count == input->object_count);
-    return accel_make(input, options, runner, &from, out);
+    return accel_make(input, options, runner, from, out);
 }
 
 void accel_free(struct accel *a)
@@ -426,6 +429,9 @@ void accel_free(struct accel *a)
     if (!a)
         return;
     accel_lazy_end(a);
+    if (a->saved)
+        accel_trees_forget(a);
+    mem_free(a->saved);
     bvh_release(&a->scene_tree);
     for (size_t i = 0; a->mesh_trees && i < a->mesh_count; i++)
         bvh_release(&a->mesh_trees[i]);

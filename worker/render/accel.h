@@ -84,10 +84,11 @@ TL_NODISCARD enum err accel_new(const struct accel_input *input,
                                 const struct accel_runner *runner, struct accel **out);
 
 /* The same, with trees from what accel_trees_save wrote over the same input, if it holds: whatever
- * the bytes are, no ray leaves them. They are not needed afterwards. */
+ * the bytes are, no ray leaves them. Takes `saved` (from mem_alloc_aligned, at 64 or more; may be
+ * NULL) whatever happens: the trees lie in it. */
 TL_NODISCARD enum err accel_new_saved(const struct accel_input *input,
                                       const struct accel_options *options,
-                                      const struct accel_runner *runner, const void *saved,
+                                      const struct accel_runner *runner, void *saved,
                                       size_t saved_bytes, struct accel **out);
 
 /* Writes the trees as that many bytes. */
@@ -99,7 +100,8 @@ bool accel_is_restored(const struct accel *a);
 
 /* Names what trees are built over: the same key, the same trees. ERR_NOMEM. */
 TL_NODISCARD enum err accel_trees_key(const struct accel_input *input,
-                                      const struct accel_options *options, digest *out);
+                                      const struct accel_options *options,
+                                      const struct accel_runner *runner, digest *out);
 void accel_free(struct accel *a);
 void accel_stats_get(const struct accel *a, struct accel_stats *out);
 

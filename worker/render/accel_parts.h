@@ -58,7 +58,7 @@ struct accel {
     struct bvh scene_tree;
     struct bvh *mesh_trees; /* mesh_count; empty unless instanced */
     struct accel_stats stats;
-    bool restored;           /* the trees were saved ones */
+    void *saved;             /* owned: what saved trees lie in; NULL: they were built */
     struct accel_lazy *lazy; /* NULL: all trees are built */
 };
 
@@ -86,9 +86,13 @@ static inline uint32_t accel_lazy_root(const struct accel *a, uint32_t number)
                    : ACCEL_NOT_LAZY;
 }
 
-/* Fills the trees of an accel whose input is copied and numbered. ERR_CORRUPT, ERR_NOMEM: the trees
- * are then half filled, to be released. */
-TL_NODISCARD enum err accel_trees_load(struct accel *a, const void *data, size_t bytes);
+/* Makes the trees of an accel whose input is copied and numbered lie in `data`, which must stay.
+ * ERR_CORRUPT: some of them then do, and are to be forgotten. */
+TL_NODISCARD enum err accel_trees_load(struct accel *a, void *data, size_t bytes,
+                                       const struct accel_runner *runner);
+
+/* No trees any more, and nothing freed: they lay in memory of another. */
+void accel_trees_forget(struct accel *a);
 
 /* The object whose triangle has this number in the scene's tree. */
 static inline uint32_t accel_triangle_object(const struct accel *a, uint32_t number)

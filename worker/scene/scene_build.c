@@ -13,19 +13,20 @@ static enum err find_or_build(struct render_scene *rs, const struct accel_input 
 {
     uint64_t triangles = 0;
     digest key;
-    const void *saved = NULL;
+    void *saved = NULL;
     size_t bytes = 0;
     for (size_t i = 0; i < input->mesh_count; i++)
         triangles += input->meshes[i].triangle_count;
     bool kept = trees && triangles >= KEPT_TRIANGLES_MIN && options->builder != JOB_BUILDER_NONE;
     if (kept) {
-        TL_TRY(accel_trees_key(input, options, &key));
+        TL_TRY(accel_trees_key(input, options, runner, &key));
         (void)trees->find(trees->ctx, &key, &saved, &bytes);
     }
+    bool found = saved != NULL;
     TL_TRY(accel_new_saved(input, options, runner, saved, bytes, &rs->accel));
     if (!kept || accel_is_restored(rs->accel))
         return ERR_OK;
-    if (saved)
+    if (found)
         trees->drop(trees->ctx, &key);
     trees->keep(trees->ctx, &key, rs->accel);
     return ERR_OK;

@@ -23,8 +23,8 @@ TL_NODISCARD enum err scene_build(const struct scene *scene, const struct job_sp
 
 /* Where built trees are kept. Any member function may be slow. */
 struct scene_trees {
-    /* The saved trees of a key, valid until the build is over; false: none. */
-    bool (*find)(void *ctx, const digest *key, const void **data, size_t *bytes);
+    /* The saved trees of a key, which accel_new_saved then takes; false: none. */
+    bool (*find)(void *ctx, const digest *key, void **data, size_t *bytes);
     void (*drop)(void *ctx, const digest *key); /* they do not hold */
     /* Offers those just built. */
     void (*keep)(void *ctx, const digest *key, const struct accel *accel);
