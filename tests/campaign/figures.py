@@ -58,6 +58,8 @@ def main():
         print(f"| first result stored by a new master after the kill of the old one | {times(masters)} |")
         print(f"| samples rendered, of samples needed, with a kill of the master every half a second | {shares[0]:.2f} to {shares[-1]:.2f} |")
     for row in of.get("slow-connections", []):
+        if "master_core_share" in row:
+            print(f"| processor time of the master for {row['connections']:,} strangers at 1 byte/s | {100 * row['master_core_share']:.1f} % of a core |")
         print(f"| throughput of good workers beside {row['connections']:,} strangers at 1 byte/s | {row['throughput_median']:.2f} ({row['throughput_min']:.2f} to {row['throughput_max']:.2f}) of that without |")
         print(f"| memory of the master with them | {row['master_mb']:.0f} MB, {row['master_quiet_mb']:.0f} MB without |")
 
