@@ -70,7 +70,7 @@ static bool check_count(const struct cli_option *o, const char *text, struct dia
     (void)snprintf(high, sizeof high, "%.0f", o->high);
     if (o->high >= (double)UINT64_MAX)
         (void)snprintf(high, sizeof high, "%" PRIu64, UINT64_MAX);
-    complain(problems, "bad-value", NULL, "--%s %s: must be a whole number from %.0f to %s",
+    complain(problems, "bad-value", o->help, "--%s %s: must be a whole number from %.0f to %s",
              o->name, text, o->low, high);
     return false;
 }
@@ -105,7 +105,7 @@ static bool check_rectangle(const struct cli_option *o, const char *text,
     if (ok && v[2] >= 1 && v[3] >= 1 && v[0] <= JOB_SIDE_MAX && v[1] <= JOB_SIDE_MAX &&
         v[2] <= JOB_SIDE_MAX && v[3] <= JOB_SIDE_MAX)
         return true;
-    complain(problems, "bad-value", NULL, "--%s %s: must be %s, as in %s, sides from 1 to %d",
+    complain(problems, "bad-value", o->help, "--%s %s: must be %s, as in %s, sides from 1 to %d",
              o->name, text, o->argument, crop ? "100,80,64,64" : "640x480", JOB_SIDE_MAX);
     return false;
 }
@@ -115,8 +115,8 @@ static bool check_number(const struct cli_option *o, const char *text, struct di
     double value;
     if (cli_parse_number(text, &value) && value >= o->low && value <= o->high)
         return true;
-    complain(problems, "bad-value", NULL, "--%s %s: must be a number from %g to %g", o->name, text,
-             o->low, o->high);
+    complain(problems, "bad-value", o->help, "--%s %s: must be a number from %g to %g", o->name,
+             text, o->low, o->high);
     return false;
 }
 
@@ -142,7 +142,7 @@ static bool check_share(const struct cli_option *o, const char *text, struct dia
     double value;
     if (parse_share(text, &value))
         return true;
-    complain(problems, "bad-value", NULL,
+    complain(problems, "bad-value", o->help,
              "--%s %s: must be a share from 0 to 1, or 0%% to 100%%, as in 0.05 or 5%%", o->name,
              text);
     return false;
@@ -156,8 +156,12 @@ static bool check_aovs(const struct cli_option *o, const char *text, struct diag
         return true;
     size_t used = (size_t)snprintf(all, sizeof all, "known: ");
     aov_list((UINT32_C(1) << AOV_COUNT) - 1, all + used);
-    complain(problems, "bad-value", all, "--%s %s: \"%s\" is none, or comes twice", o->name, text,
-             bad);
+    if (text[strspn(text, ",")] == '\0')
+        complain(problems, "bad-value", all, "--%s: names no channel, as depth,normal does",
+                 o->name);
+    else
+        complain(problems, "bad-value", all, "--%s %s: \"%s\" is none, or comes twice", o->name,
+                 text, bad);
     return false;
 }
 
@@ -184,7 +188,7 @@ bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *
     case CLI_PATH:
         if (text[0] != '\0')
             return true;
-        complain(problems, "bad-value", NULL, "--%s: must not be empty", o->name);
+        complain(problems, "bad-value", o->help, "--%s: must not be empty", o->name);
         return false;
     }
     return false;
@@ -317,11 +321,13 @@ static void take_word(struct walk *w, const char *word, bool *options_over)
 static void check_arguments(const struct cli_line *line, struct diag_list *problems)
 {
     const struct cli_command *c = &cli_commands[line->command];
+    char see[80];
+    (void)snprintf(see, sizeof see, "see tilery %s --help", c->name);
     if (line->argument_count < c->argument_min)
-        complain(problems, "missing-argument", NULL, "usage: tilery %s %s", c->name, c->arguments);
+        complain(problems, "missing-argument", see, "usage: tilery %s %s", c->name, c->arguments);
     if (line->argument_count > c->argument_max) {
         int first = c->argument_max < CLI_ARGUMENTS_MAX ? c->argument_max : 0;
-        complain(problems, "extra-argument", NULL, "%s: \"%s\" is one argument too many", c->name,
+        complain(problems, "extra-argument", see, "%s: \"%s\" is one argument too many", c->name,
                  line->arguments[first]);
     }
 }

@@ -18,7 +18,8 @@
 /* X(id, name, section of the short help, arguments, fewest, most, one line) */
 #define CLI_COMMANDS(X)                                                                            \
     X(RENDER, "render", "here", "SCENE -o OUT.exr [options]", 1, 1, "render here")                 \
-    X(EXPLAIN, "explain", "here", "SCENE [--json]", 1, 1, "what a scene needs and leaves out")     \
+    X(EXPLAIN, "explain", "here", "SCENE [--numerics] [--json]", 1, 1,                             \
+      "what a scene needs and leaves out")                                                         \
     X(DOCTOR, "doctor", "here", "SCENE [--json]", 1, 1, "what in a scene may hurt its picture")    \
     X(TRADEOFF, "tradeoff", "here", "SCENE -o DIR [options]", 1, 1,                                \
       "speed against accuracy, measured")                                                          \
@@ -97,6 +98,7 @@ enum cli_option_id {
     CLI_FRAME,
     CLI_WAIT,
     CLI_ALL,
+    CLI_NUMERICS,
     CLI_HEATMAP,
     CLI_FLIP,
     CLI_IDENTICAL,

@@ -147,7 +147,7 @@ static void read_file(struct cli *cli, enum cli_origin origin, const char *path,
         return;
     if (e != ERR_OK) {
         diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path}, "bad-setting", NULL,
-                 "cannot be read: %s", err_text(e));
+                 "cannot be read: %s", file_read_why(path, e));
         return;
     }
     cli_settings_read(cli, origin, path, text, problems);
@@ -211,7 +211,7 @@ static enum err token_from_file(const char *path, char **token, struct diag_list
     char *text;
     size_t bytes;
     enum err e = file_read(path, TOKEN_BYTES_MAX, &text, &bytes);
-    const char *why = e == ERR_OK ? NULL : err_text(e);
+    const char *why = e == ERR_OK ? NULL : file_read_why(path, e);
     if (e == ERR_OK) {
         text[strcspn(text, "\r\n")] = '\0';
         why = text[0] ? NULL : "is empty";

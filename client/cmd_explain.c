@@ -300,6 +300,8 @@ static int explain(struct cli *cli, const struct load *load, const struct predic
 
 int command_explain(struct cli *cli)
 {
+    if (cli_has(&cli->line, CLI_NUMERICS))
+        return command_doctor(cli);
     struct load load;
     struct prediction prediction;
     bool predicts = predict_wanted(&cli->line);

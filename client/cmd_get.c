@@ -89,7 +89,8 @@ int command_get(struct cli *cli)
 {
     struct farm farm;
     if (!cli_has(&cli->line, CLI_OUTPUT)) {
-        cli_error("missing-option", NULL, "get needs -o OUT.exr or -o OUT.png");
+        cli_error("missing-option", "as in tilery get j42 -o out.png",
+                  "get needs -o OUT.exr or -o OUT.png");
         return EXIT_USAGE;
     }
     const char *what = what_of(cli);

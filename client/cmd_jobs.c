@@ -37,7 +37,11 @@ static void add_job(struct text_table *t, const struct json *job)
     double done = reply_number(job, "done", 0);
     const char *state = reply_text(job, "state", "");
     text_table_add(t, reply_text(job, "id", reply_text(job, "job", NULL)));
-    text_table_add(t, reply_text(job, "name", NULL));
+    double frame = reply_number(job, "frame", (double)NAN);
+    if (isnan(frame))
+        text_table_add(t, reply_text(job, "name", NULL));
+    else
+        text_table_addf(t, "%s #%.0f", reply_text(job, "name", ""), frame);
     text_table_add(t, state);
     if (strcmp(state, "queued") == 0 && done <= 0)
         text_table_add(t, NULL);

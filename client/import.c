@@ -110,11 +110,15 @@ static enum err refuse_file(struct import *im, enum err e)
 {
     if (e == ERR_NOMEM)
         return e;
-    if (e == ERR_NOT_FOUND)
-        return import_fail(im, "missing-file", NULL, "no such file");
     if (e == ERR_LIMIT)
         return import_fail(im, "file-too-large", NULL, "over 4 GiB");
-    return import_fail(im, "unreadable-file", NULL, "cannot be read");
+    if (e != ERR_NOT_FOUND)
+        return import_fail(im, "unreadable-file", NULL, "cannot be read: %s",
+                           file_read_why(im->path, e));
+    char *hint = file_missing_hint(im->path);
+    e = import_fail(im, "missing-file", hint, "no such file");
+    mem_free(hint);
+    return e;
 }
 
 enum err import_run(struct import *im, struct job_spec *spec)
@@ -236,7 +240,8 @@ enum err import_finish(struct import *im, struct job_spec *spec)
     show_vertex_colors(&im->scene);
     settle_bumps(im);
     if (!im->has_lamp && im->scene.envmap.texture == SCENE_NONE) {
-        import_warn(im, "sky-added", NULL, "no light in it; lit by a soft sky");
+        import_warn(im, "sky-added", "for a light of your own: tilery import, then edit the scene",
+                    "no light in it; lit by a soft sky");
         TL_TRY(import_sky(im));
     }
     if (!im->has_camera) {

@@ -59,8 +59,10 @@ enum err picture_read(const char *path, struct picture *out, struct diag_list *p
     *out = (struct picture){0};
     enum err e = file_read(path, UINT64_C(1) << 34, &data, &bytes);
     if (e != ERR_OK) {
-        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path}, "missing-file", NULL,
-                 "cannot be read: %s", err_text(e));
+        char *hint = e == ERR_NOT_FOUND ? file_missing_hint(path) : NULL;
+        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path}, "missing-file", hint,
+                 "cannot be read: %s", file_read_why(path, e));
+        mem_free(hint);
         return ERR_INPUT;
     }
     bool exr = bytes >= 4 && memcmp(data, exr_magic, 4) == 0;

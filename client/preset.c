@@ -73,6 +73,10 @@ static void take(struct cli *cli, enum cli_option_id id, const char *value, stru
     if (cli->line.values[id] || (is_until((int)id) && until_given(cli)))
         return;
     cli->owned[id] = mem_strdup(value);
+    if (!cli->owned[id]) {
+        diag_add(problems, DIAG_ERROR, place, "no-memory", NULL, "out of memory");
+        return;
+    }
     cli->line.values[id] = cli->owned[id];
     cli->origins[id] = CLI_FROM_PRESET;
 }
@@ -149,7 +153,8 @@ int preset_apply(struct cli *cli)
         mem_free(text);
     } else {
         diag_add(&problems, DIAG_ERROR, (struct diag_place){.file = path}, "bad-preset",
-                 "tilery tradeoff SCENE -o DIR writes presets", "cannot be read: %s", err_text(e));
+                 "tilery tradeoff SCENE -o DIR writes presets", "cannot be read: %s",
+                 file_read_why(path, e));
     }
     int status = cli_problems(&problems, "nothing done");
     diag_release(&problems);

@@ -12,6 +12,7 @@ enum { BAR_CELLS_MAX = 17, BAR_CELLS_MIN = 6, REPEATS_SHOWN = 3, PARTS = 5 };
 #define PAINT_EVERY_S 0.2
 #define LINE_EVERY_S  300.0
 #define STALL_AFTER_S 2.0
+#define RATE_SHOWN    500.0 /* rays/s; less is shown as none */
 
 void progress_init(struct progress *p, enum progress_mode mode, int fd, double now_s)
 {
@@ -49,15 +50,15 @@ static void parts_of(const struct progress_now *now, char parts[PARTS][80])
     if (now->has_left && now->done < 1) {
         human_left(now->left_s[0], now->left_s[1], text);
         (void)snprintf(parts[1], 80, " %s left", text);
-    } else if (now->done < 1) {
-        (void)snprintf(parts[1], 80, " - left");
+    } else if (now->done <= 0) {
+        (void)snprintf(parts[1], 80, " starting");
     }
     parts[2][0] = parts[3][0] = '\0';
     if (!isnan(now->relmse)) {
         human_error(now->relmse, text);
         (void)snprintf(parts[2], 80, "  relMSE %s", text);
     }
-    if (now->rays_s > 0) {
+    if (now->rays_s >= RATE_SHOWN) {
         human_rays(now->rays_s, text);
         (void)snprintf(parts[3], 80, "  %s", text);
     }

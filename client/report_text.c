@@ -123,8 +123,13 @@ static void put_farm(const struct json *r, struct buf *out)
     double workers = number(r, "workers"), lost = number(r, "workers_lost");
     if (isnan(workers) && !units)
         return;
-    buf_printf(out, "  farm     %.0f worker%s", isnan(workers) ? 0 : workers,
-               workers == 1 ? "" : "s");
+    /* Those that gave results; before the first one, those that are at it. */
+    if (!(workers > 0))
+        workers = reply_number(r, "workers_now", 0);
+    if (workers > 0)
+        buf_printf(out, "  farm     %.0f worker%s", workers, workers == 1 ? "" : "s");
+    else
+        buf_printf(out, "  farm     no worker yet");
     if (lost > 0)
         buf_printf(out, ", %.0f lost", lost);
     if (units)

@@ -73,8 +73,9 @@ static enum err take_plan(const char *path, struct job_spec *spec, char **out,
     struct sample_plan plan;
     enum err e = file_read(path, JSON_BYTES_MAX, &text, &bytes);
     if (e != ERR_OK) {
-        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path}, "bad-plan", NULL,
-                 "cannot be read: %s", err_text(e));
+        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path}, "bad-plan",
+                 "a plan is the report of a render by --target-error or --time-limit",
+                 "cannot be read: %s", file_read_why(path, e));
         return e == ERR_NOMEM ? e : ERR_INPUT;
     }
     e = json_get_open(&g, text, bytes, path, problems);

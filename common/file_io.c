@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "common/diag.h"
 #include "common/mem.h"
 
 /* --- Reading ------------------------------------------------------------- */
@@ -58,6 +59,22 @@ enum err file_read(const char *path, uint64_t bytes_max, char **data, size_t *by
     enum err e = read_open(fd, bytes_max, data, bytes);
     (void)close(fd);
     return e;
+}
+
+const char *file_read_why(const char *path, enum err e)
+{
+    struct stat st;
+    if (e == ERR_NOT_FOUND)
+        return "no such file";
+    if (e == ERR_LIMIT)
+        return "larger than any such file is";
+    if (e != ERR_IO || stat(path, &st) != 0)
+        return err_text(e);
+    if (S_ISDIR(st.st_mode))
+        return "is a folder";
+    if (!S_ISREG(st.st_mode))
+        return "is a device or a pipe, not a file";
+    return access(path, R_OK) != 0 ? "no permission" : err_text(e);
 }
 
 /* --- Writing ------------------------------------------------------------- */
@@ -179,6 +196,48 @@ char *file_other_case(const char *path)
             found = mem_sprintf("%.*s%s", (int)(name - path), path, entry->d_name);
     (void)closedir(dir);
     return found;
+}
+
+/* The name in a folder that is nearest to `name`; you own it, NULL: none is near. */
+static char *nearest_in(DIR *dir, const char *name)
+{
+    enum { NAMES_MAX = 4000 };
+    char *best = NULL;
+    size_t count = 0;
+    for (struct dirent *entry = readdir(dir); entry && count < NAMES_MAX; entry = readdir(dir)) {
+        const char *const two[] = {best ? best : entry->d_name, entry->d_name};
+        count++;
+        const char *near = entry->d_name[0] == '.' ? NULL : diag_nearest(name, two, 2);
+        if (!near || near == best)
+            continue;
+        char *copy = mem_strdup(near);
+        mem_free(best);
+        best = copy;
+    }
+    return best;
+}
+
+char *file_missing_hint(const char *path)
+{
+    char here[4096];
+    const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path;
+    char *folder = file_folder(path), *other = file_other_case(path), *hint = NULL;
+    DIR *dir = folder ? opendir(folder) : NULL;
+    char *near = dir && !other ? nearest_in(dir, name) : NULL;
+    if (other)
+        hint = mem_sprintf("did you mean %s?", other);
+    else if (near)
+        hint = mem_sprintf("did you mean %.*s%s?", (int)(name - path), path, near);
+    else if (folder && !dir && errno == ENOENT)
+        hint = mem_sprintf("there is no folder %s", folder);
+    else if (path[0] != '/' && getcwd(here, sizeof here))
+        hint = mem_sprintf("paths begin at %s", here);
+    if (dir)
+        (void)closedir(dir);
+    mem_free(near);
+    mem_free(other);
+    mem_free(folder);
+    return hint;
 }
 
 uint64_t file_length(const char *path)

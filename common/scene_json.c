@@ -285,18 +285,15 @@ enum err scene_json_read(const char *text, size_t bytes, const char *file, const
 static enum err unreadable(const char *path, enum err e, struct diag_list *problems)
 {
     struct diag_place place = {.file = path};
-    char hint[JSON_HINT_BYTES];
-    char *other = e == ERR_NOT_FOUND ? file_other_case(path) : NULL;
-    if (other)
-        (void)snprintf(hint, sizeof hint, "\"%.300s\" exists", other);
+    char *hint = e == ERR_NOT_FOUND ? file_missing_hint(path) : NULL;
     if (e == ERR_NOT_FOUND)
-        diag_add(problems, DIAG_ERROR, place, "missing-file", other ? hint : NULL, "no such file");
+        diag_add(problems, DIAG_ERROR, place, "missing-file", hint, "no such file");
     else if (e == ERR_LIMIT)
         diag_add(problems, DIAG_ERROR, place, "file-too-large", NULL, "over 64 MiB of JSON");
     else
-        diag_add(problems, DIAG_ERROR, place, "unreadable-file", NULL,
-                 "cannot be read: a folder, or no permission");
-    mem_free(other);
+        diag_add(problems, DIAG_ERROR, place, "unreadable-file", NULL, "cannot be read: %s",
+                 file_read_why(path, e));
+    mem_free(hint);
     return ERR_INPUT;
 }
 

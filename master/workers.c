@@ -605,8 +605,8 @@ static void detach(struct farm *f, struct worker *w, enum err why)
                    : why == ERR_TIMEOUT ? "silent for 3 s"
                    : why == ERR_OK      ? "connection closed"
                                         : err_text(why));
-    log_info("workers", "%s id=w%" PRIu64 " name=%s why=%s", left ? "left" : "lost", w->id, w->name,
-             err_name(why));
+    log_info("workers", "%s id=w%" PRIu64 " name=%s why=\"%s\"", left ? "left" : "lost", w->id,
+             w->name, why == ERR_OK ? "closed by the worker" : err_name(why));
     struct sched_event event = {.type = left ? SCHED_WORKER_LEFT : SCHED_WORKER_LOST,
                                 .worker = w->id};
     farm_feed(f, &event); /* answers with the news of it */

@@ -40,6 +40,8 @@ def test_every_frame_is_the_picture_of_its_scene(farm, shot, tmp_path):
                     tmp_path / "out.####.exr", "--report", tmp_path / "r.#.json")
     assert done.returncode == 0, done.stderr
     assert done.stdout == "j1\n"
+    rows = farm.cli("jobs").stdout.splitlines()[1:]
+    assert [f"#{frame}" in row for frame, row in zip(range(5, 0, -1), rows)] == [True] * 5, rows
     seen = set()
     for frame in range(1, 6):
         alone = tmp_path / "alone.json"

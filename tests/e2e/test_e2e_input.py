@@ -1,12 +1,14 @@
 """Bad input: exit 3, every problem with its place, no job made, nothing written."""
 import copy
 import json
+import os
 import re
+import shutil
 import subprocess
 
 import pytest
 
-from farm import BIN, ROOT, Farm, clean_env, tilery
+from farm import BIN, ROOT, SEED_SCENE, Farm, clean_env, tilery
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -194,6 +196,31 @@ def test_missing_scene(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_misspelt_scene(tmp_path):
+    shutil.copy(SEED_SCENE, tmp_path / "kitchen.json")
+    done = tilery("render", tmp_path / "kitchn.json", "-o", tmp_path / "out.exr")
+    refused(done, "did you mean", "kitchen.json?")
+
+
+@pytest.mark.parametrize("option", ("--plan", "--preset"))
+def test_a_device_is_no_file(tmp_path, option):
+    fifo = tmp_path / "pipe"
+    os.mkfifo(fifo)
+    for path in ("/dev/zero", fifo):
+        done = tilery("render", SEED_SCENE, "-o", tmp_path / "out.exr", option, path, timeout=20)
+        assert done.returncode == 3 and done.stdout == ""
+        assert "is a device or a pipe, not a file" in done.stderr, done.stderr
+
+
+def test_a_model_without_a_light(tmp_path):
+    model = tmp_path / "t.obj"
+    model.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for command in (("doctor",), ("explain", "--numerics")):
+        done = tilery(command[0], model, *command[1:])
+        assert done.returncode == 0 and "no light in it" in done.stdout, done
+        assert "[sky-added]" in done.stdout
+
+
 def test_a_folder_as_scene(tmp_path):
     refused(tilery("render", tmp_path, "-o", tmp_path / "out.exr"), str(tmp_path))
 
@@ -205,6 +232,9 @@ USAGE = {
     "no output": (("render", "a.json"), "-o"),
     "wrong ending": (("render", "a.json", "-o", "b.png"), ".exr"),
     "bad number": (("render", "a.json", "-o", "b.exr", "--spp", "many"), "whole number"),
+    "number and what for": (("render", "a.json", "-o", "b.exr", "--spp", "0"), "samples per pixel"),
+    "aov of nothing": (("render", "a.json", "-o", "b.exr", "--aov", ""), "names no channel"),
+    "too many": (("jobs", "j1"), "tilery jobs --help"),
     "bad choice": (("render", "a.json", "-o", "b.exr", "--sampler", "sobl"), "sobol"),
     "same file twice": (("render", "a.json", "-o", "b.exr", "--report", "b.exr"), "twice"),
     "aov": (("render", "a.json", "-o", "b.exr", "--aov", "norml"), "known: depth,position"),

@@ -58,7 +58,13 @@ static void test_progress_states(void **state)
     now.workers = 1;
     now.done = 0.9999;
     progress_text(&now, 0, text);
-    assert_string_equal(text, " 99% [================>] - left  1 worker");
+    assert_string_equal(text, " 99% [================>]  1 worker");
+    now.done = 0;
+    now.rays_s = 400; /* would be shown as none */
+    progress_text(&now, 0, text);
+    assert_string_equal(text, "  0% [>                ] starting  1 worker");
+    now.done = 0.999;
+    now.rays_s = 0;
     now.waiting_s = 12;
     now.advice = "start one: tilery-worker --master 10.0.0.5:7000";
     progress_text(&now, 0, text);
@@ -259,6 +265,34 @@ static void test_report(void **state)
     diag_release(&problems);
 }
 
+/* Before any result there is no worker to count; "0 workers" frightened people. */
+static void test_report_before_the_first_worker(void **state)
+{
+    static const char *const reports[][2] = {
+        {"{\"job\":\"j1\",\"state\":\"queued\",\"workers\":0,\"workers_now\":0,\"units\":{"
+         "\"total\":0}}",
+         "  farm     no worker yet; 0 units"},
+        {"{\"job\":\"j1\",\"state\":\"rendering\",\"workers\":0,\"workers_now\":2,"
+         "\"units\":{\"total\":0}}",
+         "  farm     2 workers; 0 units"}};
+    (void)state;
+    for (size_t i = 0; i < 2; i++) {
+        struct json_get g;
+        struct diag_list problems;
+        struct buf out;
+        diag_init(&problems);
+        buf_init(&out);
+        assert_int_equal(json_get_open(&g, reports[i][0], strlen(reports[i][0]), "r", &problems),
+                         ERR_OK);
+        report_text(g.root, "j1", &out);
+        buf_put_u8(&out, 0);
+        assert_non_null(strstr((const char *)out.data, reports[i][1]));
+        buf_release(&out);
+        json_get_close(&g);
+        diag_release(&problems);
+    }
+}
+
 static void test_preview(void **state)
 {
     static const unsigned char rgb[2 * 4 * 3] = {
@@ -294,6 +328,7 @@ int main(void)
         cmocka_unit_test(test_human),
         cmocka_unit_test(test_table),
         cmocka_unit_test(test_report),
+        cmocka_unit_test(test_report_before_the_first_worker),
         cmocka_unit_test(test_preview),
     };
     return cmocka_run_group_tests_name("cli_text", tests, NULL, NULL);

@@ -87,6 +87,35 @@ static void only_regular_files_are_read(void **state)
     mem_free(fifo);
 }
 
+static char *hint_of(const char *name)
+{
+    char path[300];
+    (void)snprintf(path, sizeof path, "%s/%s", folder, name);
+    return file_missing_hint(path);
+}
+
+static void what_is_wrong_is_said(void **state)
+{
+    (void)state;
+    assert_string_equal(file_read_why("/dev/null", ERR_IO), "is a device or a pipe, not a file");
+    assert_string_equal(file_read_why(folder, ERR_IO), "is a folder");
+    assert_string_equal(file_read_why("nothing", ERR_NOT_FOUND), "no such file");
+    char path[300];
+    (void)snprintf(path, sizeof path, "%s/Scene.json", folder);
+    assert_int_equal(file_write(path, "x", 1), ERR_OK);
+    char *other = hint_of("SCENE.JSON"), *near = hint_of("Scnee.json"), *far = hint_of("none.exr");
+    assert_non_null(strstr(other, "did you mean ") ? strstr(other, "/Scene.json?") : NULL);
+    assert_non_null(strstr(near, "/Scene.json?"));
+    assert_null(far);
+    char *lost = hint_of("nowhere/a.json"), *here = file_missing_hint("no-such-name-at-all.exr");
+    assert_non_null(strstr(lost, "there is no folder"));
+    assert_non_null(strstr(here, "paths begin at /"));
+    char *hints[] = {other, near, lost, here};
+    for (size_t i = 0; i < 4; i++)
+        mem_free(hints[i]);
+    assert_int_equal(unlink(path), 0);
+}
+
 static void names_are_joined(void **state)
 {
     (void)state;
@@ -112,6 +141,7 @@ int main(void)
         cmocka_unit_test(a_file_is_replaced_whole),
         cmocka_unit_test(failures_leave_nothing),
         cmocka_unit_test(only_regular_files_are_read),
+        cmocka_unit_test(what_is_wrong_is_said),
         cmocka_unit_test(names_are_joined),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);

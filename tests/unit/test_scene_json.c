@@ -366,7 +366,7 @@ static void a_missing_file_is_a_problem(void **state)
     diag_init(&l.problems);
     assert_int_equal(scene_json_read_file("scenes/CBOX.json", &l.scene, &l.spec, &l.problems),
                      ERR_INPUT);
-    assert_string_equal(l.problems.items[0].hint, "\"scenes/cbox.json\" exists");
+    assert_string_equal(l.problems.items[0].hint, "did you mean scenes/cbox.json?");
     diag_release(&l.problems);
     diag_init(&l.problems);
     assert_int_equal(scene_json_read_file("scenes", &l.scene, &l.spec, &l.problems), ERR_INPUT);
