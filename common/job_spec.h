@@ -111,7 +111,7 @@ struct job_spec {
     enum job_builder builder;
     enum job_intersector intersector;
     enum job_precision precision;
-    enum job_light_choice light_choice; /* few lights are never chosen by a tree */
+    enum job_light_choice light_choice; /* one light is not chosen by a tree */
     uint32_t aov;                       /* set of aov.h */
 };
 

@@ -201,8 +201,8 @@ static void choices_agree(void **state)
     v3_put(sun->direction, v3(0, -0.5, -1));
     v3_put(sun->intensity, v3(1, 1, 1));
     struct job_spec spec = kit_spec(24, 256);
-    spec.max_depth = 3;
-    double mean[2], variance[2] = {0, 0};
+    spec.integrator = JOB_INTEGRATOR_DIRECT;
+    double mean[2], variance[2] = {0, 0}, noise[2] = {0, 0};
     for (int i = 0; i < 2; i++) {
         spec.light_choice = i ? JOB_LIGHT_CHOICE_UNIFORM : JOB_LIGHT_CHOICE_TREE;
         spec.seed = (uint64_t)i;
@@ -212,13 +212,16 @@ static void choices_agree(void **state)
         for (size_t k = 0; k < values; k++) {
             double d = (p.half[0][k] - p.half[1][k]) / 2 / (double)values;
             variance[i] += d * d;
+            noise[i] += fabs(d);
         }
         kit_picture_free(&p);
     }
     /* Groups of 4 x 4 pixels and three channels go together: the variance counts 48 times. */
     assert_true(fabs(mean[0] - mean[1]) < 4 * sqrt(48 * (variance[0] + variance[1])));
     assert_true(fabs(mean[0] / mean[1] - 1) < 0.05);
-    assert_true(variance[0] < variance[1]);
+    /* One bright sample beside a lamp decides the variance, hardly the mean deviation. */
+    print_message("deviation by the tree %g, evenly %g\n", noise[0], noise[1]);
+    assert_true(noise[0] < noise[1]);
     scene_release(&s);
 }
 

@@ -6,7 +6,7 @@
  * only. light_pdf gives the density with which light_sample draws a direction, the
  * choice of the light included, for multiple importance sampling.
  *
- * A few lights are chosen by power, many by a tree (light_tree.h).
+ * Two or more lights with a place are chosen by a tree (light_tree.h).
  *
  * Read-only after the build; any thread. Tests: test_light, test_light_tree.
  */

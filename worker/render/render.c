@@ -143,15 +143,16 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     path->passes = 0;
     w->reuse[index].state = REUSE_NONE;
     double u[SAMPLER_SET_VALUES] = {0}, weight_x, weight_y;
-    /* Only paths that sample lights want the second half. */
+    /* Where lights are sampled, the first two numbers, which are spread best, are theirs. */
     bool lights =
         spec->integrator == JOB_INTEGRATOR_PATH || spec->integrator == JOB_INTEGRATOR_DIRECT;
     sampler_some(&own, WAVE_SET_CAMERA, lights ? 4 : 2, u);
-    double film_x = x + 0.5 + film_filter_sample(&scene->filter, u[0], &weight_x);
-    double film_y = y + 0.5 + film_filter_sample(&scene->filter, u[1], &weight_y);
+    const double *film = lights ? u + 2 : u;
+    double film_x = x + 0.5 + film_filter_sample(&scene->filter, film[0], &weight_x);
+    double film_y = y + 0.5 + film_filter_sample(&scene->filter, film[1], &weight_y);
     path->filter_weight = weight_x * weight_y;
-    path->light_u[0] = u[2];
-    path->light_u[1] = u[3];
+    path->light_u[0] = u[0];
+    path->light_u[1] = u[1];
     if (scene->camera.type == SCENE_CAMERA_THIN_LENS)
         sampler_set(&own, WAVE_SET_LENS, u);
     vec3 dir;

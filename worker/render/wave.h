@@ -70,7 +70,7 @@ struct render_scratch {
  * from one set, since together they make one integrand; so are the film point and the light point
  * at the first vertex. */
 enum {
-    WAVE_SET_CAMERA = 0, /* film x, y; light u, v at vertex 0 */
+    WAVE_SET_CAMERA = 0, /* light u, v at vertex 0; film x, y (alone: if no light is sampled) */
     WAVE_SET_LENS = 1,   /* lens u, v */
     WAVE_SET_VERTEX = 2, /* of vertex 0: bsdf u, v; light u, v at vertex 1 */
     WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light */

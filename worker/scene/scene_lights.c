@@ -19,8 +19,8 @@ static const double SKY_FLOOR = 0.001;
 /* The least that a textured light counts, of what it would without its texture. */
 static const double TEXTURE_FLOOR = 0.01;
 
-/* So many lights with a place are chosen by a tree: of fewer the powers are as good and cheaper. */
-enum { TREE_LIGHTS_MIN = 16 };
+/* So many lights with a place are chosen by a tree. */
+enum { TREE_LIGHTS_MIN = 2 };
 
 /* Two triangles of a mesh count as one parallelogram when the fourth corner is off by no more than
  * this many units in the last place of the coordinates. */
