@@ -1,7 +1,7 @@
 /* bench_trace: our rays against Embree's, side by side in one process.
  *
  *   bench_trace [--quick] [--json FILE] [--runs N] [--side N] [--scene NAME]
- *               [--isa sse2|avx2|avx512] [--fast] [--embree4 LIBRARY]
+ *               [--isa sse2|avx2|avx512] [--fast | --compact] [--embree4 LIBRARY]
  *               [--mesh FILE.ply --rays FILE [--shadow]]
  *
  * Each case times ours (one ray a call, and batches) and Embree (one ray a call,
@@ -9,7 +9,9 @@
  * that ours is faster. Filling each side's ray structures is timed. One thread is timed
  * by the processor's clock, which other work on the machine disturbs less. With --mesh the
  * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar. --fast
- * also times scenes with --precision fast, against exact.
+ * also times scenes with --precision fast, against exact; --compact times compact trees against
+ * normal ones. The SAH cost of Embree's builder is that of the tree that its rtcBuildBVH makes of
+ * the same boxes, as binary as ours is before it is made wide.
  */
 #include <errno.h>
 #include <getopt.h>
@@ -27,7 +29,7 @@
 enum { RUNS_MAX = 99, PEERS_MAX = 4, THREADS_MAX = 2, CHUNK = 1024 };
 
 struct options {
-    bool quick, shadow, fast;
+    bool quick, shadow, fast, compact;
     int runs;
     uint32_t side;
     enum accel_isa isa;
@@ -42,7 +44,7 @@ struct bench {
     const char *peer_names[PEERS_MAX];
     bool peer_robust[PEERS_MAX];
     int peer_count;
-    struct accel *fast; /* float decides; NULL without --fast */
+    struct accel *other; /* float decides, or compact; NULL without --fast and --compact */
 };
 
 struct ratio {
@@ -187,7 +189,7 @@ static double work_time(const struct work *whole, int threads, size_t *hits)
     return trace_seconds(threads) - start;
 }
 
-/* Ours, the peers, and with --fast ours again with float deciding. */
+/* Ours, the peers, and ours again in another way. */
 static struct work work_of(const struct bench *b, int way, const struct accel *a,
                            const struct trace_rays *rays, bool shadow, int threads)
 {
@@ -199,23 +201,24 @@ static struct work work_of(const struct bench *b, int way, const struct accel *a
         w.peer = b->peers[threads - 1][way - 2];
     } else {
         w.side = (enum side)(way - 2 - b->peer_count);
-        w.accel = b->fast;
+        w.accel = b->other;
     }
     return w;
 }
 
-/* Rates and ratios of single calls and batches. */
-static void print_fast(struct bench *b, const char *scene, const char *kind, int threads,
-                       const double *exact, const double *fast, const struct ratio *ratio)
+/* Rates and ratios of single calls and batches of the other way. */
+static void print_other(struct bench *b, const char *scene, const char *kind, int threads,
+                        const double *first, const double *other, const struct ratio *ratio)
 {
     static const char *const calls[2] = {"single", "batch"};
-    printf("%-10s %-7s %d  fast over exact:", scene, kind, threads);
+    const char *what = b->options.fast ? "fast" : "compact";
+    const char *over = b->options.fast ? "exact" : "normal";
+    printf("%-10s %-7s %d  %s over %s:", scene, kind, threads, what, over);
     for (int i = 0; i < 2; i++) {
         char name[64];
-        snprintf(name, sizeof name, "%s-fast%s", kind, i ? "-batch" : "");
+        snprintf(name, sizeof name, "%s-%s%s", kind, what, i ? "-batch" : "");
         printf(" %s %.2f (%.2f-%.2f)", calls[i], ratio[i].median, ratio[i].low, ratio[i].high);
-        json_case(b, scene, "rays", name, threads, "exact", "Mrays/s", fast[i], exact[i],
-                  &ratio[i]);
+        json_case(b, scene, "rays", name, threads, over, "Mrays/s", other[i], first[i], &ratio[i]);
     }
     printf("\n");
 }
@@ -227,7 +230,7 @@ static void time_rays(struct bench *b, const char *scene, const char *kind, cons
     enum { WAYS = 4 + PEERS_MAX };
     double seconds[WAYS][RUNS_MAX], rate[WAYS];
     size_t hits[WAYS];
-    int peers_end = 2 + b->peer_count, ways = peers_end + (b->fast ? 2 : 0);
+    int peers_end = 2 + b->peer_count, ways = peers_end + (b->other ? 2 : 0);
     int runs = b->options.runs;
     if (rays->count == 0)
         return;
@@ -236,9 +239,9 @@ static void time_rays(struct bench *b, const char *scene, const char *kind, cons
             struct work w = work_of(b, way, a, rays, shadow, threads);
             seconds[way][run < 0 ? 0 : run] = work_time(&w, threads, &hits[way]);
         }
-    struct ratio ratio[2][PEERS_MAX], fast[2];
-    for (int i = 0; i < 2 && b->fast; i++)
-        fast[i] = ratio_of(seconds[i], seconds[peers_end + i], runs);
+    struct ratio ratio[2][PEERS_MAX], other[2];
+    for (int i = 0; i < 2 && b->other; i++)
+        other[i] = ratio_of(seconds[i], seconds[peers_end + i], runs);
     for (int peer = 0; peer < b->peer_count; peer++)
         for (int ours = 0; ours < 2; ours++)
             ratio[ours][peer] = ratio_of(seconds[2 + peer], seconds[ours], runs);
@@ -259,8 +262,8 @@ static void time_rays(struct bench *b, const char *scene, const char *kind, cons
     printf("  %4.1f%%\n", 100.0 * (double)hits[0] / (double)rays->count);
     if (hits[0] != hits[1])
         printf("  batch and single differ: %zu and %zu hits\n", hits[1], hits[0]);
-    if (b->fast)
-        print_fast(b, scene, kind, threads, rate, rate + peers_end, fast);
+    if (b->other)
+        print_other(b, scene, kind, threads, rate, rate + peers_end, other);
     fflush(stdout);
 }
 
@@ -294,14 +297,13 @@ static void pool_run(void *ctx, size_t count, void (*fn)(void *arg, size_t index
         pthread_join(helper, NULL);
 }
 
-static struct accel *build_ours(const struct trace_scene *s, enum accel_isa isa,
-                                enum job_precision precision, int threads, double *seconds)
+static struct accel *build_ours(const struct trace_scene *s, const struct accel_options *options,
+                                int threads, double *seconds)
 {
-    struct accel_options options = {.isa = isa, .precision = precision};
     struct accel_runner runner = {pool_run, NULL, (uint32_t)threads};
     struct accel *a = NULL;
     double start = trace_seconds(threads);
-    if (accel_new(&s->input, &options, threads > 1 ? &runner : NULL, &a) != ERR_OK) {
+    if (accel_new(&s->input, options, threads > 1 ? &runner : NULL, &a) != ERR_OK) {
         fprintf(stderr, "bench_trace: the scene cannot be built\n");
         exit(5);
     }
@@ -331,15 +333,49 @@ static void print_build(struct bench *b, const char *scene, int threads, const d
     json_case(b, scene, "work", quality, threads, b->peer_names[0], "s", m, t, &r);
 }
 
+/* A figure of both trees, less of which is better. */
+static void print_figure(struct bench *b, const char *scene, const char *what, int threads,
+                         const char *unit, double ours, double theirs)
+{
+    double of = ours > 0.0 ? theirs / ours : 0.0;
+    struct ratio r = {of, of, of};
+    json_case(b, scene, "work", what, threads, b->peer_names[0], unit, ours, theirs, &r);
+}
+
+/* What the trees weigh and cost, ours also in the compact layout. */
+static void print_tree(struct bench *b, const char *scene, const struct trace_scene *s,
+                       const struct accel *a, int threads)
+{
+    const struct accel_options options = {.isa = b->options.isa, .compact = true};
+    double triangles = (double)s->triangle_count, seconds;
+    struct accel *compact = build_ours(s, &options, threads, &seconds);
+    struct accel_stats stats, packed;
+    accel_stats_get(a, &stats);
+    accel_stats_get(compact, &packed);
+    accel_free(compact);
+    double bytes = (double)stats.bytes / triangles, less = (double)packed.bytes / triangles;
+    double theirs = (double)trace_peer_bytes(b->peers[threads - 1][0]) / triangles;
+    double sah = trace_peer_sah(b->peers[threads - 1][0], s);
+    printf("%-10s tree    %d  %.1f bytes/triangle, compact %.1f, theirs %.1f; SAH %.2f wide, %.2f "
+           "binary, theirs %.2f; depth %llu, %llu nodes, %llu leaves, %s\n",
+           scene, threads, bytes, less, theirs, stats.sah_cost, stats.sah_binary, sah,
+           (unsigned long long)stats.depth_max, (unsigned long long)stats.node_count,
+           (unsigned long long)stats.leaf_count, accel_isa_name(a));
+    print_figure(b, scene, "bytes", threads, "bytes/triangle", bytes, theirs);
+    print_figure(b, scene, "bytes-compact", threads, "bytes/triangle", less, theirs);
+    print_figure(b, scene, "sah", threads, "half areas of the root", stats.sah_binary, sah);
+}
+
 /* Builds both sides in turn and leaves the peers with every variant that is traced. */
 static struct accel *time_build(struct bench *b, const char *scene, const struct trace_scene *s,
                                 int threads)
 {
     double ours[RUNS_MAX], medium[RUNS_MAX], high[RUNS_MAX];
+    const struct accel_options normal = {.isa = b->options.isa};
     struct accel *a = NULL;
     for (int run = 0; run < b->options.runs; run++) {
         accel_free(a);
-        a = build_ours(s, b->options.isa, JOB_PRECISION_EXACT, threads, &ours[run]);
+        a = build_ours(s, &normal, threads, &ours[run]);
         medium[run] = build_theirs(b->peers[threads - 1][0], s, PEER_MEDIUM, threads);
         high[run] = build_theirs(b->peers[threads - 1][0], s, PEER_HIGH, threads);
     }
@@ -347,18 +383,7 @@ static struct accel *time_build(struct bench *b, const char *scene, const struct
         trace_peer_build(b->peers[threads - 1][p], s, PEER_MEDIUM, b->peer_robust[p]);
     print_build(b, scene, threads, ours, medium, "build-medium");
     print_build(b, scene, threads, ours, high, "build-high");
-    struct accel_stats stats;
-    accel_stats_get(a, &stats);
-    double bytes = (double)stats.bytes / (double)s->triangle_count;
-    double theirs = (double)trace_peer_bytes(b->peers[threads - 1][0]) / (double)s->triangle_count;
-    printf("%-10s tree    %d  %.1f bytes/triangle, theirs %.1f; SAH %.2f, depth %llu, %llu nodes, "
-           "%llu leaves, %s\n",
-           scene, threads, bytes, theirs, stats.sah_cost, (unsigned long long)stats.depth_max,
-           (unsigned long long)stats.node_count, (unsigned long long)stats.leaf_count,
-           accel_isa_name(a));
-    struct ratio r = {theirs / bytes, theirs / bytes, theirs / bytes};
-    json_case(b, scene, "work", "bytes", threads, b->peer_names[0], "bytes/triangle", bytes, theirs,
-              &r);
+    print_tree(b, scene, s, a, threads);
     return a;
 }
 
@@ -372,9 +397,13 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
     int threads_max = b->options.quick ? 1 : THREADS_MAX;
     for (int threads = 1; threads <= threads_max; threads++) {
         struct accel *a = time_build(b, trace_scene_names[id], &s, threads);
+        const struct accel_options other = {.isa = b->options.isa,
+                                            .precision = b->options.fast ? JOB_PRECISION_FAST
+                                                                         : JOB_PRECISION_EXACT,
+                                            .compact = b->options.compact};
         double seconds;
-        if (b->options.fast)
-            b->fast = build_ours(&s, b->options.isa, JOB_PRECISION_FAST, threads, &seconds);
+        if (b->options.fast || b->options.compact)
+            b->other = build_ours(&s, &other, threads, &seconds);
         for (int kind = 0; kind < TRACE_RAYS_COUNT; kind++) {
             struct trace_rays rays;
             if (trace_rays_make(&rays, a, id, (enum trace_rays_id)kind, b->options.side) != ERR_OK)
@@ -384,8 +413,8 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
             trace_rays_release(&rays);
         }
         accel_free(a);
-        accel_free(b->fast);
-        b->fast = NULL;
+        accel_free(b->other);
+        b->other = NULL;
     }
     trace_scene_release(&s);
 }
@@ -510,10 +539,11 @@ static void add_peer(struct bench *b, const char *name, const char *library, boo
 
 static int usage(void)
 {
-    fprintf(stderr, "usage: bench_trace [--quick] [--json FILE] [--runs N] [--side N] "
-                    "[--scene NAME]\n                   [--isa sse2|avx2|avx512] [--fast] "
-                    "[--embree4 LIBRARY]\n                   "
-                    "[--mesh FILE.ply --rays FILE [--shadow]]\n");
+    fprintf(stderr,
+            "usage: bench_trace [--quick] [--json FILE] [--runs N] [--side N] "
+            "[--scene NAME]\n                   [--isa sse2|avx2|avx512] [--fast | --compact] "
+            "[--embree4 LIBRARY]\n                   "
+            "[--mesh FILE.ply --rays FILE [--shadow]]\n");
     return 2;
 }
 
@@ -531,14 +561,21 @@ static bool parse_isa(const char *name, enum accel_isa *out)
 static bool parse_options(int argc, char **argv, struct options *o)
 {
     static const struct option table[] = {
-        {"quick", no_argument, NULL, 'q'},       {"json", required_argument, NULL, 'j'},
-        {"runs", required_argument, NULL, 'n'},  {"side", required_argument, NULL, 's'},
-        {"scene", required_argument, NULL, 'c'}, {"isa", required_argument, NULL, 'i'},
-        {"fast", no_argument, NULL, 'f'},        {"embree4", required_argument, NULL, '4'},
-        {"mesh", required_argument, NULL, 'm'},  {"rays", required_argument, NULL, 'r'},
-        {"shadow", no_argument, NULL, 'o'},      {NULL, 0, NULL, 0},
+        {"quick", no_argument, NULL, 'q'},
+        {"json", required_argument, NULL, 'j'},
+        {"runs", required_argument, NULL, 'n'},
+        {"side", required_argument, NULL, 's'},
+        {"scene", required_argument, NULL, 'c'},
+        {"isa", required_argument, NULL, 'i'},
+        {"fast", no_argument, NULL, 'f'},
+        {"embree4", required_argument, NULL, '4'},
+        {"mesh", required_argument, NULL, 'm'},
+        {"rays", required_argument, NULL, 'r'},
+        {"shadow", no_argument, NULL, 'o'},
+        {"compact", no_argument, NULL, 'p'},
+        {NULL, 0, NULL, 0},
     };
-    *o = (struct options){.runs = 7, .side = 512};
+    *o = (struct options){.runs = 7};
     int c;
     while ((c = getopt_long(argc, argv, "", table, NULL)) != -1) {
         switch (c) {
@@ -564,6 +601,9 @@ static bool parse_options(int argc, char **argv, struct options *o)
         case 'f':
             o->fast = true;
             break;
+        case 'p':
+            o->compact = true;
+            break;
         case '4':
             o->embree4 = optarg;
             break;
@@ -580,8 +620,10 @@ static bool parse_options(int argc, char **argv, struct options *o)
             return false;
         }
     }
+    if (o->side == 0)
+        o->side = o->quick ? 192 : 512;
     return optind == argc && o->runs >= 1 && o->runs <= RUNS_MAX && o->side >= 16 &&
-           o->side <= 16384 && !o->mesh == !o->rays;
+           o->side <= 16384 && !o->mesh == !o->rays && !(o->fast && o->compact);
 }
 
 int main(int argc, char **argv)

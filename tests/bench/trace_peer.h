@@ -28,6 +28,11 @@ void trace_peer_build(struct trace_peer *p, const struct trace_scene *s,
 /* Bytes that Embree holds, without the vertices and indices, which it shares. */
 int64_t trace_peer_bytes(const struct trace_peer *p);
 
+/* SAH cost of the binary tree that rtcBuildBVH (MEDIUM) makes of the boxes of the scene's first
+ * mesh, in half areas of the root: one a node, one a leaf of up to four. Negative: it cannot be
+ * had, or a mesh is instanced. */
+double trace_peer_sah(struct trace_peer *p, const struct trace_scene *s);
+
 void trace_peer_closest(struct trace_peer *p, const float ray[8], struct trace_peer_hit *hit);
 bool trace_peer_occluded(struct trace_peer *p, const float ray[8]);
 

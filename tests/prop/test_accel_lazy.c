@@ -76,9 +76,10 @@ static void unlock(void *ctx, uint32_t object)
 
 static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
 
-static struct accel *build_lazy(const struct accel_input *input, enum accel_isa isa)
+static struct accel *build_lazy_as(const struct accel_input *input, enum accel_isa isa,
+                                   bool compact)
 {
-    struct accel_options options = {.isa = isa};
+    struct accel_options options = {.isa = isa, .compact = compact};
     struct accel_locks locks = {lock, unlock, &mutex};
     struct accel_lazy_plan plan;
     struct accel *a = NULL;
@@ -88,6 +89,11 @@ static struct accel *build_lazy(const struct accel_input *input, enum accel_isa 
     assert_int_equal(accel_new_lazy(input, &options, NULL, &plan, &locks, &a), ERR_OK);
     accel_lazy_plan_release(&plan);
     return a;
+}
+
+static struct accel *build_lazy(const struct accel_input *input, enum accel_isa isa)
+{
+    return build_lazy_as(input, isa, false);
 }
 
 static struct accel *build_eager(const struct accel_input *input)
@@ -118,8 +124,8 @@ static void test_same_bits(void **state)
     size_t count = is_long ? 200000 : 3000;
     struct ray *rays = make_rays(&b.s, count, 42);
     struct accel *eager = build_eager(&b.s.input);
-    for (int i = 0; i < 3; i++) {
-        struct accel *lazy = build_lazy(&b.s.input, isas[i]);
+    for (int i = 0; i < 6; i++) {
+        struct accel *lazy = build_lazy_as(&b.s.input, isas[i % 3], i / 3);
         assert_int_equal(kit_differences(eager, lazy, rays, count), 0);
         struct accel_stats s;
         accel_stats_get(lazy, &s);

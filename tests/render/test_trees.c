@@ -40,7 +40,7 @@ struct world {
     struct ray rays[RAYS];
 };
 
-static void make_world(struct world *w)
+static void make_world(struct world *w, bool compact)
 {
     memset(w, 0, sizeof *w);
     for (uint32_t i = 0; i < 3 * TRIANGLES; i++) {
@@ -57,8 +57,7 @@ static void make_world(struct world *w)
                                           .to_scene = {0.5, 0, 0, 0.25, 0, 0.5, 0, 0, 0, 0, 0.5, 0},
                                           .from_scene = {2, 0, 0, -0.5, 0, 2, 0, 0, 0, 0, 2, 0}};
     w->input = (struct accel_input){&w->mesh, 1, w->objects, 3};
-    w->options = (struct accel_options){JOB_BUILDER_SAH, JOB_INTERSECTOR_WOOP, JOB_PRECISION_EXACT,
-                                        ACCEL_ISA_AUTO};
+    w->options = (struct accel_options){.builder = JOB_BUILDER_SAH, .compact = compact};
     for (int i = 0; i < RAYS; i++) {
         w->rays[i] = (struct ray){.tmax = 1e30};
         for (int k = 0; k < 3; k++) {
@@ -101,13 +100,12 @@ static bool restore(const struct world *w, const void *data, size_t bytes, struc
     return taken;
 }
 
-static void saved_trees_give_the_same_hits(void **ctx)
+static void check_saved(bool compact)
 {
-    (void)ctx;
     static struct world w;
     static struct hit built[RAYS], restored[RAYS];
     struct buf saved, again;
-    make_world(&w);
+    make_world(&w, compact);
     save(&w, &saved);
     assert_false(restore(&w, NULL, 0, built));
     assert_true(restore(&w, saved.data, saved.bytes, restored));
@@ -125,18 +123,27 @@ static void saved_trees_give_the_same_hits(void **ctx)
     assert_memory_equal(again.data, saved.data, saved.bytes);
     accel_free(a);
     buf_release(&again);
+    w.options.compact = !compact;
+    assert_false(restore(&w, saved.data, saved.bytes, restored));
+    assert_memory_equal(built, restored, sizeof built);
     buf_release(&saved);
+}
+
+static void saved_trees_give_the_same_hits(void **ctx)
+{
+    (void)ctx;
+    check_saved(false);
+    check_saved(true);
 }
 
 /* Cut short, they are built anew. With any word changed, they are built anew or no ray leaves them
  * (the sanitizers look). */
-static void hostile_trees_are_harmless(void **ctx)
+static void check_hostile(bool compact)
 {
-    (void)ctx;
     static struct world w;
     static struct hit built[RAYS], found[RAYS];
     struct buf saved;
-    make_world(&w);
+    make_world(&w, compact);
     save(&w, &saved);
     (void)restore(&w, NULL, 0, built);
     for (size_t bytes = 0; bytes < saved.bytes; bytes += 1 + saved.bytes / 40) {
@@ -158,6 +165,13 @@ static void hostile_trees_are_harmless(void **ctx)
     buf_release(&saved);
 }
 
+static void hostile_trees_are_harmless(void **ctx)
+{
+    (void)ctx;
+    check_hostile(false);
+    check_hostile(true);
+}
+
 /* A tree of some MiB, which is walked in parts: its own references hold; changed ones are found, or
  * no ray leaves them. */
 static void large_trees_are_walked_in_parts(void **ctx)
@@ -169,7 +183,7 @@ static void large_trees_are_walked_in_parts(void **ctx)
     static float positions[3 * CORNERS];
     static uint32_t indices[CORNERS];
     struct buf saved;
-    make_world(&w);
+    make_world(&w, false);
     for (uint32_t i = 0; i < CORNERS; i++) {
         static const uint32_t corner[6][2] = {{0, 0}, {1, 0}, {1, 1}, {0, 0}, {1, 1}, {0, 1}};
         uint32_t x = i / 6 % SIDE + corner[i % 6][0], y = i / 6 / SIDE + corner[i % 6][1];
@@ -202,7 +216,7 @@ static void keys_follow_the_geometry(void **ctx)
     (void)ctx;
     static struct world w;
     digest a, b;
-    make_world(&w);
+    make_world(&w, false);
     assert_int_equal(accel_trees_key(&w.input, &w.options, NULL, &a), ERR_OK);
     assert_int_equal(accel_trees_key(&w.input, &w.options, NULL, &b), ERR_OK);
     assert_true(digest_equal(&a, &b));
@@ -211,6 +225,10 @@ static void keys_follow_the_geometry(void **ctx)
     assert_false(digest_equal(&a, &b));
     w.positions[17] -= 1;
     w.options.builder = JOB_BUILDER_MEDIAN;
+    assert_int_equal(accel_trees_key(&w.input, &w.options, NULL, &b), ERR_OK);
+    assert_false(digest_equal(&a, &b));
+    w.options.builder = JOB_BUILDER_SAH;
+    w.options.compact = true;
     assert_int_equal(accel_trees_key(&w.input, &w.options, NULL, &b), ERR_OK);
     assert_false(digest_equal(&a, &b));
 }

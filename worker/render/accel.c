@@ -132,11 +132,31 @@ static void tree_measure(const struct bvh_ref *refs, size_t count, struct bvh *o
 
 /* --- Building ------------------------------------------------------------- */
 
-void accel_scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
+static void scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
 {
     const struct accel *a = ctx;
     const struct accel_object *o = &a->objects[ref->owner];
     triangle_vertices(&a->meshes[o->mesh], ref->primitive - a->triangle_first[ref->owner], out);
+}
+
+static void scene_indices(void *ctx, const struct bvh_ref *ref, uint32_t out[3])
+{
+    const struct accel *a = ctx;
+    const struct accel_object *o = &a->objects[ref->owner];
+    size_t triangle = ref->primitive - a->triangle_first[ref->owner];
+    memcpy(out, &a->meshes[o->mesh].indices[3 * triangle], 3 * sizeof *out);
+}
+
+struct bvh_source accel_scene_source(const struct accel *a)
+{
+    return (struct bvh_source){scene_vertices, scene_indices, (void *)a};
+}
+
+static void mesh_indices(void *ctx, const struct bvh_ref *ref, uint32_t out[3])
+{
+    const struct accel *a = ctx;
+    const uint32_t *indices = a->meshes[ref->owner].indices;
+    memcpy(out, &indices[3 * (size_t)ref->primitive], 3 * sizeof *out);
 }
 
 static void mesh_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
@@ -176,12 +196,15 @@ static size_t mesh_refs(const struct accel_mesh *m, uint32_t first, uint32_t own
 
 /* Takes refs. Without a builder a tree is only measured. */
 static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
-                           const struct accel_runner *runner, bvh_vertices_fn vertices,
+                           const struct accel_runner *runner, const struct bvh_source *source,
                            struct bvh *out)
 {
     struct bvh box = {0}, made = {.root = BVH_EMPTY};
-    struct bvh_how how = {a->options.builder == JOB_BUILDER_MEDIAN, a->options.isa, 0.0f, runner,
-                          out == &a->scene_tree && a->lazy ? &a->lazy->place : NULL};
+    struct bvh_how how = {.median = a->options.builder == JOB_BUILDER_MEDIAN,
+                          .compact = a->options.compact,
+                          .isa = a->options.isa,
+                          .runner = runner,
+                          .place = out == &a->scene_tree && a->lazy ? &a->lazy->place : NULL};
     enum err err = ERR_OK;
     tree_measure(refs, count, &box, &how.edge);
     if (how.place && how.place->edge > how.edge)
@@ -190,7 +213,7 @@ static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
     if (a->options.builder == JOB_BUILDER_NONE)
         mem_free(refs);
     else
-        err = bvh_new(refs, count, &how, vertices, a, &made);
+        err = bvh_new(refs, count, &how, source, &made);
     if (err)
         return err;
     memcpy(made.lo, box.lo, sizeof box.lo);
@@ -208,7 +231,8 @@ static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct acc
     if (!refs)
         return ERR_NOMEM;
     size_t count = mesh_refs(m, 0, mesh, runner, refs);
-    return tree_build(a, refs, count, runner, mesh_vertices, &a->mesh_trees[mesh]);
+    struct bvh_source source = {mesh_vertices, mesh_indices, a};
+    return tree_build(a, refs, count, runner, &source, &a->mesh_trees[mesh]);
 }
 
 static size_t object_refs(const struct accel *a, uint32_t number, const struct accel_runner *runner,
@@ -242,7 +266,8 @@ static enum err scene_tree_build(struct accel *a, const struct accel_runner *run
         return ERR_NOMEM;
     for (uint32_t i = 0; i < a->object_count; i++)
         count += object_refs(a, i, runner, plan, &refs[count]);
-    return tree_build(a, refs, count, runner, accel_scene_vertices, &a->scene_tree);
+    struct bvh_source source = accel_scene_source(a);
+    return tree_build(a, refs, count, runner, &source, &a->scene_tree);
 }
 
 static enum err trees_build(struct accel *a, const struct accel_runner *runner,
@@ -321,6 +346,21 @@ static enum err motions_make(struct accel *a)
     return ERR_OK;
 }
 
+/* Lets compact trees of one mesh find its vertices at once. */
+static void trees_link(struct accel *a)
+{
+    uint32_t plain = 0, mesh = 0;
+    for (size_t i = 0; i < a->object_count; i++)
+        if (a->objects[i].type == ACCEL_TRIANGLES) {
+            plain++;
+            mesh = a->objects[i].mesh;
+        }
+    if (plain == 1)
+        a->scene_tree.positions = a->meshes[mesh].positions;
+    for (size_t i = 0; i < a->mesh_count; i++)
+        a->mesh_trees[i].positions = a->meshes[i].positions;
+}
+
 /* Trees from what was saved, which is taken; without any, and freed, when it does not hold. */
 static void trees_restore(struct accel *a, void *saved, size_t saved_bytes,
                           const struct accel_runner *runner)
@@ -357,8 +397,10 @@ static enum err build(struct accel *a, const struct accel_input *input,
     from->saved = NULL;
     if (!a->saved)
         TL_TRY(trees_build(a, runner, from->plan));
+    trees_link(a);
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
+    a->stats.sah_binary = a->scene_tree.sah_binary;
     for (size_t i = 0; i < a->mesh_count; i++)
         count_tree(a, &a->mesh_trees[i]);
     return ERR_OK;
@@ -367,17 +409,21 @@ static enum err build(struct accel *a, const struct accel_input *input,
 /* The widest kernel that this CPU has and the options allow. */
 static const struct trace_kernel *kernel_choose(const struct accel_options *o)
 {
+    static const struct trace_kernel *const kernels[3][3] = {
+        {&trace_sse2, &trace_avx2, &trace_avx512},
+        {&trace_sse2_fast, &trace_avx2_fast, &trace_avx512_fast},
+        {&trace_sse2_compact, &trace_avx2_compact, &trace_avx512_compact}};
     if (o->builder == JOB_BUILDER_NONE || o->intersector == JOB_INTERSECTOR_MOLLER_TRUMBORE)
         return &trace_plain;
-    bool fast = o->precision == JOB_PRECISION_FAST;
+    int form = o->compact ? 2 : o->precision == JOB_PRECISION_FAST;
     enum accel_isa isa = o->isa == ACCEL_ISA_AUTO ? ACCEL_ISA_AVX512 : o->isa;
     bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
     if (isa >= ACCEL_ISA_AVX512 && avx2 && __builtin_cpu_supports("avx512f") &&
         __builtin_cpu_supports("avx512vl"))
-        return fast ? &trace_avx512_fast : &trace_avx512;
+        return kernels[form][2];
     if (isa >= ACCEL_ISA_AVX2 && avx2)
-        return fast ? &trace_avx2_fast : &trace_avx2;
-    return fast ? &trace_sse2_fast : &trace_sse2;
+        return kernels[form][1];
+    return kernels[form][0];
 }
 
 static enum err accel_make(const struct accel_input *input, const struct accel_options *options,
@@ -390,7 +436,9 @@ static enum err accel_make(const struct accel_input *input, const struct accel_o
         return ERR_NOMEM;
     }
     a->options = *options;
-    a->kernel = kernel_choose(options);
+    if (options->precision == JOB_PRECISION_FAST || options->builder == JOB_BUILDER_NONE)
+        a->options.compact = false;
+    a->kernel = kernel_choose(&a->options);
     a->pad = options->precision == JOB_PRECISION_FAST ? TRACE_PAD_FAST : TRACE_PAD;
     enum err err = build(a, input, runner, &from);
     mem_free(from.saved);

@@ -66,13 +66,16 @@ struct accel_options {
         intersector;              /* moller-trumbore: the source report's test, epsilon and all */
     enum job_precision precision; /* fast: float decides; see docs/TRACING.md, 6 */
     enum accel_isa isa;
+    bool compact; /* half the tree's bytes: leaves hold numbers of vertices; the same hits, slower.
+                     Not for fast, nor without a tree. */
 };
 
 struct accel_stats {
     uint64_t triangle_count, sphere_count, instance_count;
     uint64_t node_count, leaf_count, depth_max;
     uint64_t bytes;
-    double sah_cost; /* relative to the root's area */
+    double sah_cost; /* relative to the root's area: one a node, one a leaf; of the scene's tree */
+    double sah_binary; /* of the tree before it was made wide; 0 if that was not built here */
     /* Of accel_new_lazy: objects that wait or waited for a first ray, and those that met one.
      * Nodes, leaves and cost are those of the scene's own tree, bytes all that is there now. */
     uint64_t lazy_count, lazy_built;

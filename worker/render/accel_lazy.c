@@ -202,8 +202,12 @@ static enum err build_object(const struct accel *a, uint32_t number, bool median
     const struct accel_mesh *m = &a->meshes[a->objects[number].mesh];
     struct bvh_ref *refs = bvh_alloc(m->triangle_count, sizeof *refs);
     struct bvh_place *place = &a->lazy->place;
-    struct bvh_how how = {
-        .median = median, .isa = a->options.isa, .edge = place->edge, .place = place};
+    struct bvh_how how = {.median = median,
+                          .compact = a->options.compact,
+                          .isa = a->options.isa,
+                          .edge = place->edge,
+                          .place = place};
+    struct bvh_source source = accel_scene_source(a);
     struct bvh tree;
     if (!refs)
         return ERR_NOMEM;
@@ -212,7 +216,7 @@ static enum err build_object(const struct accel *a, uint32_t number, bool median
         refs[i].primitive = a->triangle_first[number] + i;
         refs[i].owner = number;
     }
-    TL_TRY(bvh_new(refs, m->triangle_count, &how, accel_scene_vertices, (void *)a, &tree));
+    TL_TRY(bvh_new(refs, m->triangle_count, &how, &source, &tree));
     *root = tree.root;
     return ERR_OK;
 }

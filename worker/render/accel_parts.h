@@ -8,6 +8,9 @@
 #ifndef WORKER_RENDER_ACCEL_PARTS_H
 #define WORKER_RENDER_ACCEL_PARTS_H
 
+#include <emmintrin.h>
+#include <string.h>
+
 #include "common/scene.h"
 #include "worker/render/accel_lazy.h"
 #include "worker/render/bvh_place.h"
@@ -25,6 +28,7 @@ struct trace_kernel {
 };
 
 extern const struct trace_kernel trace_plain, trace_sse2, trace_avx2, trace_avx512;
+extern const struct trace_kernel trace_sse2_compact, trace_avx2_compact, trace_avx512_compact;
 extern const struct trace_kernel trace_sse2_fast, trace_avx2_fast, trace_avx512_fast;
 
 /* An instance's matrices by column, for whole vectors to be loaded. */
@@ -65,8 +69,8 @@ struct accel {
 /* The box of a triangle; the caller sets what else a reference has. *out lies at 16 bytes. */
 void accel_triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out);
 
-/* The vertices of a reference of the scene's tree; ctx is the accel. */
-void accel_scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4]);
+/* What leaves of the scene's tree, and of trees in its arena, are made from. */
+struct bvh_source accel_scene_source(const struct accel *a);
 
 /* Sets a->lazy, with room for all trees. ERR_NOMEM, ERR_LIMIT: to be ended as well. */
 TL_NODISCARD enum err accel_lazy_begin(struct accel *a, const struct accel_lazy_plan *plan,
@@ -105,6 +109,43 @@ static inline uint32_t accel_triangle_object(const struct accel *a, uint32_t num
         count -= half;
     }
     return (uint32_t)(first - a->triangle_first);
+}
+
+/* What a packed leaf stands for. */
+static inline void accel_unpack(const struct accel *a, const struct bvh *tree,
+                                const struct bvh_packed *packed, struct bvh_leaf *out)
+{
+    const float *positions[BVH_BLOCK];
+    for (int lane = 0; lane < BVH_BLOCK; lane++) {
+        positions[lane] = tree->positions;
+        if (!tree->positions) {
+            uint32_t number = packed->id[lane] & (BVH_PRIMITIVES_MAX - 1);
+            uint32_t object = accel_triangle_object(a, number);
+            positions[lane] = a->meshes[a->objects[object].mesh].positions;
+        }
+    }
+    for (int i = 0; i < 3; i++) {
+        __m128 v[BVH_BLOCK];
+        for (int lane = 0; lane < BVH_BLOCK; lane++) {
+            const float *p = &positions[lane][3 * (size_t)packed->vertex[i][lane]];
+            __m128 xy = _mm_castpd_ps(_mm_load_sd((const double *)(const void *)p));
+            v[lane] = _mm_movelh_ps(xy, _mm_load_ss(&p[2]));
+        }
+        _MM_TRANSPOSE4_PS(v[0], v[1], v[2], v[3]);
+        for (int k = 0; k < 3; k++)
+            _mm_store_ps(out->v[i][k], v[k]);
+    }
+    memcpy(out->id, packed->id, sizeof out->id);
+}
+
+/* The leaf of a reference, unpacked to `room` if it is a packed one. */
+static inline const struct bvh_leaf *accel_leaf(const struct accel *a, const struct bvh *tree,
+                                                uint32_t ref, struct bvh_leaf *room)
+{
+    if (!tree->compact)
+        return bvh_leaf_at(tree->arena, ref);
+    accel_unpack(a, tree, bvh_packed_at(tree->arena, ref), room);
+    return room;
 }
 
 /* Does (object, primitive) of a hit at the same t come before the best one's? */

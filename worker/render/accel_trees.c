@@ -28,12 +28,17 @@ _Static_assert(sizeof(struct saved_head) == 64 && sizeof(struct saved_tree) == 8
 
 static const char magic[8] = {'T', 'L', 'Y', 'T', 'R', 'E', 'E', 'S'};
 
+static size_t leaf_bytes(const struct accel *a)
+{
+    return a->options.compact ? sizeof(struct bvh_packed) : sizeof(struct bvh_leaf);
+}
+
 static struct saved_head head_of(const struct accel *a)
 {
     struct saved_head head = {.layout = TREES_LAYOUT,
                               .unit_bytes = BVH_UNIT_BYTES,
                               .node_bytes = sizeof(struct bvh_node),
-                              .leaf_bytes = sizeof(struct bvh_leaf),
+                              .leaf_bytes = (uint32_t)leaf_bytes(a),
                               .triangle_count = a->stats.triangle_count,
                               .mesh_count = a->mesh_count,
                               .object_count = a->object_count};
@@ -116,8 +121,8 @@ static enum err hash_all(const struct accel_input *input, const struct accel_opt
                          const struct hashing *h, digest *out)
 {
     struct digest_ctx c;
-    const uint32_t what[] = {TREES_LAYOUT, (uint32_t)options->builder, (uint32_t)input->mesh_count,
-                             (uint32_t)input->object_count};
+    const uint32_t what[] = {TREES_LAYOUT, (uint32_t)options->builder, options->compact,
+                             (uint32_t)input->mesh_count, (uint32_t)input->object_count};
     TL_TRY(digest_begin(&c));
     digest_add(&c, what, sizeof what);
     for (size_t i = 0; i < input->mesh_count; i++) { /* the counts say where runs belong */
@@ -205,8 +210,8 @@ struct walk {
     const struct accel *accel;
     const struct bvh *tree;
     uint64_t nodes_left, leaves_left;
-    uint32_t triangle_count;
-    bool in_scene; /* spheres and instances may occur */
+    uint32_t triangle_count, mesh;
+    bool in_scene; /* spheres and instances may occur; else the tree is that of a mesh */
 };
 
 /* True if `bytes` at the reference's unit lie in the arena. */
@@ -216,10 +221,34 @@ static bool in_arena(const struct bvh *b, uint32_t ref, size_t bytes)
     return at <= b->bytes && bytes <= b->bytes - at;
 }
 
+/* The mesh of a triangle that the tree may hold; NULL: it may not. */
+static const struct accel_mesh *triangle_mesh(const struct walk *w, uint32_t id)
+{
+    uint32_t number = id & (BVH_PRIMITIVES_MAX - 1);
+    if (number >= w->triangle_count)
+        return NULL;
+    if (!w->in_scene)
+        return &w->accel->meshes[w->mesh];
+    return &w->accel->meshes[w->accel->objects[accel_triangle_object(w->accel, number)].mesh];
+}
+
+static bool packed_holds(const struct walk *w, const struct bvh_packed *leaf)
+{
+    for (int lane = 0; lane < BVH_BLOCK; lane++) {
+        const struct accel_mesh *mesh = triangle_mesh(w, leaf->id[lane]);
+        for (int i = 0; i < 3; i++)
+            if (!mesh || leaf->vertex[i][lane] >= mesh->vertex_count)
+                return false;
+    }
+    return true;
+}
+
 static bool leaf_holds(struct walk *w, uint32_t ref)
 {
-    if (!in_arena(w->tree, ref, sizeof(struct bvh_leaf)) || w->leaves_left-- == 0)
+    if (!in_arena(w->tree, ref, leaf_bytes(w->accel)) || w->leaves_left-- == 0)
         return false;
+    if (w->tree->compact)
+        return packed_holds(w, bvh_packed_at(w->tree->arena, ref));
     const struct bvh_leaf *leaf = bvh_leaf_at(w->tree->arena, ref);
     for (int lane = 0; lane < BVH_BLOCK; lane++)
         if ((leaf->id[lane] & (BVH_PRIMITIVES_MAX - 1)) >= w->triangle_count)
@@ -384,13 +413,14 @@ static enum err load_tree(struct rest *heads, struct rest *arenas, struct walk *
                        .sah_cost = s.sah_cost,
                        .edge_unit = s.edge_unit,
                        .root = s.root,
-                       .measured = s.measured};
+                       .measured = s.measured,
+                       .compact = w->accel->options.compact};
     memcpy(tree.lo, s.lo, sizeof s.lo);
     memcpy(tree.hi, s.hi, sizeof s.hi);
     tree.arena = s.bytes ? arena : NULL;
     w->tree = &tree;
     w->nodes_left = s.bytes / sizeof(struct bvh_node);
-    w->leaves_left = s.bytes / sizeof(struct bvh_leaf);
+    w->leaves_left = s.bytes / leaf_bytes(w->accel);
     if (!tree_holds(w, runner))
         return ERR_CORRUPT;
     *out = tree;
@@ -412,6 +442,7 @@ enum err accel_trees_load(struct accel *a, void *data, size_t bytes,
     w.in_scene = false;
     for (size_t i = 0; e == ERR_OK && i < a->mesh_count; i++) {
         w.triangle_count = a->meshes[i].triangle_count;
+        w.mesh = (uint32_t)i;
         e = load_tree(&heads, &arenas, &w, runner, &a->mesh_trees[i]);
     }
     if (e == ERR_OK && arenas.bytes > 0)

@@ -4,7 +4,8 @@
  * at which a thing starts, shifted left by BVH_KIND_BITS, with its kind below:
  *
  *   BVH_NODE    struct bvh_node, 224 bytes: the boxes of 8 children by axis
- *   BVH_LEAF    struct bvh_leaf, 160 bytes: 4 triangles by vertex, axis and lane
+ *   BVH_LEAF    struct bvh_leaf, 160 bytes: 4 triangles by vertex, axis and lane; in a compact
+ *               tree struct bvh_packed, 64 bytes: their vertices by number
  *   BVH_OBJECT  no unit but the number of a sphere or an instance
  *   BVH_EMPTY   a child slot not in use
  *
@@ -41,10 +42,17 @@ struct bvh_node {
 };
 
 struct bvh_leaf {
-    float v[3][3][BVH_BLOCK]; /* vertex, axis, lane */
-    uint32_t id[BVH_BLOCK];   /* low 30 bits: triangle; the top bits of all four: edge code */
+    float v[3][3][BVH_BLOCK] __attribute__((aligned(16))); /* vertex, axis, lane */
+    uint32_t id[BVH_BLOCK]; /* low 30 bits: triangle; the top bits of all four: edge code */
 };
 
+/* A leaf that leaves its vertices in the mesh. */
+struct bvh_packed {
+    uint32_t vertex[3][BVH_BLOCK];
+    uint32_t id[BVH_BLOCK]; /* as in bvh_leaf */
+};
+
+_Static_assert(sizeof(struct bvh_packed) == 2 * BVH_UNIT_BYTES, "packed leaf layout");
 _Static_assert(sizeof(struct bvh_node) == 7 * BVH_UNIT_BYTES, "node layout");
 _Static_assert(sizeof(struct bvh_leaf) == 5 * BVH_UNIT_BYTES, "leaf layout");
 
@@ -62,22 +70,31 @@ struct bvh_ref {
 struct bvh {
     unsigned char *arena; /* owned */
     size_t bytes;
-    uint32_t root;      /* BVH_EMPTY kind when there is nothing */
-    float lo[3], hi[3]; /* of everything */
-    double reach;       /* largest |coordinate| of lo and hi */
-    bool measured;      /* lo, hi and reach are set */
-    float edge_unit;    /* the edge code's unit; see trace.h */
+    uint32_t root;          /* BVH_EMPTY kind when there is nothing */
+    float lo[3], hi[3];     /* of everything */
+    double reach;           /* largest |coordinate| of lo and hi */
+    bool measured;          /* lo, hi and reach are set */
+    float edge_unit;        /* the edge code's unit; see trace.h */
+    bool compact;           /* leaves are packed ones */
+    const float *positions; /* compact: the vertices of its only mesh; NULL: look at the object */
     uint64_t node_count, leaf_count, depth_max;
-    double sah_cost;
+    double sah_cost, sah_binary; /* half areas of nodes and leaves over the root's */
 };
 
-/* Writes the nine coordinates of a triangle, [vertex][axis]; the fourth of each may be anything. */
-typedef void (*bvh_vertices_fn)(void *ctx, const struct bvh_ref *ref, float out[3][4]);
+/* Where leaves get their triangles from. */
+struct bvh_source {
+    /* The nine coordinates, [vertex][axis]; the fourth of each may be anything. */
+    void (*vertices)(void *ctx, const struct bvh_ref *ref, float out[3][4]);
+    /* The numbers of the vertices in their mesh. */
+    void (*indices)(void *ctx, const struct bvh_ref *ref, uint32_t out[3]);
+    void *ctx;
+};
 
-/* How to build. The tree depends on `median` alone. */
+/* How to build. The tree depends on `median` and `compact` alone. */
 struct bvh_how {
     bool median;        /* split at the object median of the longest axis, else by the surface
                            area heuristic */
+    bool compact;       /* pack leaves */
     enum accel_isa isa; /* the widest to be used */
     float edge;         /* the largest extent of a triangle along any axis */
     const struct accel_runner *runner;
@@ -87,7 +104,7 @@ struct bvh_how {
 /* Builds over refs[0..count), as bvh2_build takes them. ERR_NOMEM; ERR_LIMIT: over
  * BVH_PRIMITIVES_MAX or too large for the arena's references, or too deep for a place. */
 TL_NODISCARD enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
-                              bvh_vertices_fn vertices, void *ctx, struct bvh *out);
+                              const struct bvh_source *source, struct bvh *out);
 void bvh_release(struct bvh *b);
 
 /* --- The binary tree between the two steps ------------------------------- */
@@ -148,6 +165,11 @@ static inline const struct bvh_node *bvh_node_at(const unsigned char *arena, uin
 static inline const struct bvh_leaf *bvh_leaf_at(const unsigned char *arena, uint32_t ref)
 {
     return (const struct bvh_leaf *)(arena + (size_t)(ref >> BVH_KIND_BITS) * BVH_UNIT_BYTES);
+}
+
+static inline const struct bvh_packed *bvh_packed_at(const unsigned char *arena, uint32_t ref)
+{
+    return (const struct bvh_packed *)(arena + (size_t)(ref >> BVH_KIND_BITS) * BVH_UNIT_BYTES);
 }
 
 #endif

@@ -146,6 +146,7 @@ struct planner {
     struct plan *plans;
     size_t count, capacity;
     uint64_t units;
+    size_t leaf_bytes;
 };
 
 /* Gives leaves their place right behind the node, and nodes theirs when they are planned. */
@@ -173,7 +174,7 @@ static enum err plan_node(struct planner *p, uint32_t root, uint32_t depth, size
             plan->offset[i] = (primitive & ~BVH_REF_OBJECT) << BVH_KIND_BITS | BVH_OBJECT;
         } else {
             plan->offset[i] = (uint32_t)p->units << BVH_KIND_BITS | BVH_LEAF;
-            p->units += sizeof(struct bvh_leaf) / BVH_UNIT_BYTES;
+            p->units += p->leaf_bytes / BVH_UNIT_BYTES;
         }
     }
     return p->units >> (32 - BVH_KIND_BITS) ? ERR_LIMIT : ERR_OK;
@@ -210,8 +211,7 @@ static enum err plan_all(struct planner *p)
 struct writer {
     const struct planner *planner;
     struct bvh *out;
-    bvh_vertices_fn vertices;
-    void *ctx;
+    const struct bvh_source *source;
     uint32_t edge_bits; /* of edge_unit */
 };
 
@@ -248,16 +248,39 @@ static uint32_t edge_code(const struct bvh_ref *refs, uint32_t count, uint32_t u
     return code < EDGE_CODES ? code : EDGE_CODES - 1;
 }
 
-static void write_leaf(const struct writer *w, const struct bvh2_node *from, struct bvh_leaf *leaf)
+/* The references of a leaf's lanes, and their ids with the edge code. */
+static void leaf_lanes(const struct writer *w, const struct bvh2_node *from,
+                       const struct bvh_ref *lanes[BVH_BLOCK], uint32_t id[BVH_BLOCK])
 {
     const struct bvh_ref *refs = &w->planner->refs[from->left & ~BVH2_LEAF];
     uint32_t code = edge_code(refs, from->right, w->edge_bits);
-    float v[BVH_BLOCK][3][4] __attribute__((aligned(16)));
     for (uint32_t lane = 0; lane < BVH_BLOCK; lane++) {
-        const struct bvh_ref *ref = &refs[lane < from->right ? lane : from->right - 1];
-        w->vertices(w->ctx, ref, v[lane]);
-        leaf->id[lane] = ref->primitive | (code >> lane & 1) << 31 | (code >> (4 + lane) & 1) << 30;
+        lanes[lane] = &refs[lane < from->right ? lane : from->right - 1];
+        id[lane] =
+            lanes[lane]->primitive | (code >> lane & 1) << 31 | (code >> (4 + lane) & 1) << 30;
     }
+}
+
+static void write_packed(const struct writer *w, const struct bvh2_node *from,
+                         struct bvh_packed *leaf)
+{
+    const struct bvh_ref *lanes[BVH_BLOCK];
+    leaf_lanes(w, from, lanes, leaf->id);
+    for (uint32_t lane = 0; lane < BVH_BLOCK; lane++) {
+        uint32_t vertex[3];
+        w->source->indices(w->source->ctx, lanes[lane], vertex);
+        for (int i = 0; i < 3; i++)
+            leaf->vertex[i][lane] = vertex[i];
+    }
+}
+
+static void write_leaf(const struct writer *w, const struct bvh2_node *from, struct bvh_leaf *leaf)
+{
+    const struct bvh_ref *lanes[BVH_BLOCK];
+    leaf_lanes(w, from, lanes, leaf->id);
+    float v[BVH_BLOCK][3][4] __attribute__((aligned(16)));
+    for (uint32_t lane = 0; lane < BVH_BLOCK; lane++)
+        w->source->vertices(w->source->ctx, lanes[lane], v[lane]);
     for (int i = 0; i < 3; i++) {
         __m128 x = _mm_load_ps(v[0][i]), y = _mm_load_ps(v[1][i]);
         __m128 z = _mm_load_ps(v[2][i]), unused = _mm_load_ps(v[3][i]);
@@ -279,8 +302,13 @@ static void write_node(const struct writer *w, const struct plan *plan)
             node->bounds[2 * k + 1][i] = child->hi[k];
         }
         node->child[i] = plan->offset[i];
-        if ((plan->offset[i] & 3) == BVH_LEAF)
-            write_leaf(w, child, (struct bvh_leaf *)bvh_leaf_at(w->out->arena, plan->offset[i]));
+        void *leaf = w->out->arena + (size_t)(plan->offset[i] >> BVH_KIND_BITS) * BVH_UNIT_BYTES;
+        if ((plan->offset[i] & 3) != BVH_LEAF)
+            continue;
+        if (w->out->compact)
+            write_packed(w, child, leaf);
+        else
+            write_leaf(w, child, leaf);
     }
     for (uint32_t i = plan->count; i < BVH_WIDTH; i++) {
         for (int k = 0; k < 3; k++) {
@@ -304,6 +332,15 @@ static void measure(const struct planner *p, struct bvh *out)
         }
     }
     out->sah_cost = root > 0.0 ? (root + sum) / root : 0.0;
+}
+
+static double binary_cost(const struct bvh2 *tree)
+{
+    double sum = 0.0, root = (double)half_area(&tree->nodes[0]);
+    for (size_t run = 0; run < tree->run_count; run++)
+        for (uint32_t i = tree->runs[run].begin; i < tree->runs[run].end; i++)
+            sum += (double)half_area(&tree->nodes[i]);
+    return root > 0.0 ? sum / root : 0.0;
 }
 
 /* The unit of the edge code: its largest code covers the largest extent of all. */
@@ -356,11 +393,13 @@ static enum err find_arena(struct planner *p, struct bvh_place *place, struct bv
 }
 
 static enum err wide_build(const struct bvh2 *tree, const struct bvh_how *how,
-                           bvh_vertices_fn vertices, void *ctx, struct bvh *out)
+                           const struct bvh_source *source, struct bvh *out)
 {
     enum err err = ERR_NOMEM;
     struct choosing choosing = {tree, NULL};
-    struct planner p = {tree->nodes, tree->refs, NULL, NULL, 0, 0, 0};
+    struct planner p = {.nodes = tree->nodes, .refs = tree->refs};
+    p.leaf_bytes = how->compact ? sizeof(struct bvh_packed) : sizeof(struct bvh_leaf);
+    out->compact = how->compact;
     choosing.choices = mem_alloc_aligned(tree->node_limit * sizeof *choosing.choices, 64);
     if (!choosing.choices)
         goto done;
@@ -372,10 +411,11 @@ static enum err wide_build(const struct bvh2 *tree, const struct bvh_how *how,
         err = find_arena(&p, how->place, out);
     if (err)
         goto done;
-    struct writer w = {&p, out, vertices, ctx, edge_unit_bits(how->edge)};
+    struct writer w = {&p, out, source, edge_unit_bits(how->edge)};
     bvh_run(how->runner, (p.count + PLANS_PER_TASK - 1) / PLANS_PER_TASK, write_some, &w);
     out->edge_unit = float_of(w.edge_bits);
     measure(&p, out);
+    out->sah_binary = binary_cost(tree);
 done:
     mem_free(choosing.choices);
     mem_free(p.plans);
@@ -383,7 +423,7 @@ done:
 }
 
 enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
-                 bvh_vertices_fn vertices, void *ctx, struct bvh *out)
+                 const struct bvh_source *source, struct bvh *out)
 {
     struct bvh made = {.root = BVH_EMPTY};
     *out = made;
@@ -395,7 +435,7 @@ enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
     enum err err = bvh2_build(refs, (uint32_t)count, how, &tree);
     if (err)
         return err;
-    err = wide_build(&tree, how, vertices, ctx, &made);
+    err = wide_build(&tree, how, source, &made);
     bvh2_release(&tree);
     if (err == ERR_OK)
         *out = made;

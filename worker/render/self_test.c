@@ -163,8 +163,7 @@ static enum err test_accel_new(struct test_mesh *m, struct accel **out)
          .from_scene = {2, 0, 0, -0.5, 0, 0, 2, 0.2, 0, -2, 0, 0.2}},
     };
     struct accel_input input = {&mesh, 1, objects, 3};
-    struct accel_options options = {JOB_BUILDER_SAH, JOB_INTERSECTOR_WOOP, JOB_PRECISION_EXACT,
-                                    ACCEL_ISA_AUTO};
+    struct accel_options options = {.builder = JOB_BUILDER_SAH};
     return accel_new(&input, &options, NULL, out);
 }
 

@@ -40,10 +40,14 @@ struct trace_best {
     double t;
     uint32_t object, primitive;
     const struct bvh_leaf *leaf; /* where a triangle was met, and its lane; or NULL */
+    struct bvh_leaf *room;       /* compact trees: TRACE_ROOM leaves to unpack to */
     uint32_t lane;
     bool found;
     double v, w, det; /* with a leaf: the edge functions of vertices 1 and 2, and their sum */
 };
+
+/* Of unpacked leaves, three are looked at once: the best hit's, the pending one and the next. */
+enum { TRACE_ROOM = 3 };
 
 /* Units of 2^-24 R by which boxes are widened; where float decides, by its errors too. */
 enum { TRACE_PAD = 9, TRACE_PAD_FAST = 41 };

@@ -64,6 +64,49 @@ static inline void prefetch(const unsigned char *arena, uint32_t ref)
     __builtin_prefetch(p + 192);
 }
 
+/* --- Packed leaves -------------------------------------------------------- */
+
+#ifdef TRACE_COMPACT
+
+/* A leaf that neither the best hit nor the pending one is in. */
+static inline struct bvh_leaf *leaf_room(const struct trace_best *best,
+                                         const struct leaf_pending *pending)
+{
+    struct bvh_leaf *room = best->room;
+    while (room == best->leaf || room == pending->leaf)
+        room++;
+    return room;
+}
+
+static inline const struct bvh_leaf *leaf_of(const struct accel *a, const struct bvh *tree,
+                                             uint32_t ref, struct bvh_leaf *room)
+{
+    accel_unpack(a, tree, bvh_packed_at(tree->arena, ref), room);
+    return room;
+}
+
+#define LEAF_ROOM(name, count) struct bvh_leaf name[count]
+
+#else
+
+static inline struct bvh_leaf *leaf_room(const struct trace_best *best,
+                                         const struct leaf_pending *pending)
+{
+    (void)pending;
+    return best->room;
+}
+
+static inline const struct bvh_leaf *leaf_of(const struct accel *a, const struct bvh *tree,
+                                             uint32_t ref, struct bvh_leaf *room)
+{
+    (void)a, (void)room;
+    return bvh_leaf_at(tree->arena, ref);
+}
+
+#define LEAF_ROOM(name, count) struct bvh_leaf *const name = NULL
+
+#endif
+
 /* --- Spheres and instances ------------------------------------------------ */
 
 static void mesh_closest(const struct accel *a, const struct bvh *tree, const struct trace_ray *r,
@@ -205,7 +248,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
             continue;
         }
         case BVH_LEAF: {
-            const struct bvh_leaf *leaf = bvh_leaf_at(arena, ref);
+            const struct bvh_leaf *leaf = leaf_of(a, tree, ref, leaf_room(best, &pending));
             COUNT(leaves);
             leaf_closest(a, r, leaf, edge_bits, object, &span, &pending, best);
             break;
@@ -243,6 +286,7 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
+    LEAF_ROOM(room, 1);
     struct slabs slabs;
     slabs_init(&slabs, r);
     const struct leaf_span span = leaf_span_of(tmin, tmax);
@@ -272,7 +316,7 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
             continue;
         }
         case BVH_LEAF: {
-            const struct bvh_leaf *leaf = bvh_leaf_at(arena, ref);
+            const struct bvh_leaf *leaf = leaf_of(a, tree, ref, room);
             COUNT(leaves);
             if (leaf_blocks(r, leaf, edge_bits, &span, tmax))
                 return true;
@@ -313,7 +357,8 @@ static void kernel_closest(const struct accel *a, const struct ray *ray, struct 
 {
     struct trace_ray ready;
     double tmin;
-    struct trace_best best = {.object = SCENE_NONE, .primitive = SCENE_NONE};
+    LEAF_ROOM(room, TRACE_ROOM);
+    struct trace_best best = {.object = SCENE_NONE, .primitive = SCENE_NONE, .room = room};
     if (!(ray->tmin >= 0.0)) { /* keys cannot be ordered as integers */
         trace_plain.closest(a, ray, out);
         return;
@@ -347,13 +392,23 @@ struct runner {
     struct leaf_pending pending;
     uint32_t ref, top, put_off;
     size_t index; /* in the caller's arrays */
+#ifdef TRACE_COMPACT
+    struct bvh_leaf room[TRACE_ROOM];
+#endif
     uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
 };
+
+#ifdef TRACE_COMPACT
+#define RUNNER_ROOM(s) ((s)->room)
+#else
+#define RUNNER_ROOM(s) NULL
+#endif
 
 /* Readies the next ray that needs a walk; false when there is none left. */
 static bool runner_start(struct runner *s, const struct accel *a, const struct ray *ray)
 {
-    s->best = (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE};
+    s->best =
+        (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = RUNNER_ROOM(s)};
     double tmin;
     if (!ready_scene_ray(a, ray, &s->ray, &tmin, &s->best.t))
         return false;
@@ -390,7 +445,8 @@ static inline bool runner_step_closest(struct runner *s, const struct accel *a, 
         return true;
     }
     case BVH_LEAF: {
-        const struct bvh_leaf *leaf = bvh_leaf_at(arena, s->ref);
+        const struct bvh_leaf *leaf =
+            leaf_of(a, &a->scene_tree, s->ref, leaf_room(&s->best, &s->pending));
         COUNT(leaves);
         leaf_closest(a, &s->ray, leaf, edge_bits, SCENE_NONE, &s->span, &s->pending, &s->best);
         break;
@@ -446,7 +502,8 @@ static inline bool runner_step_any(struct runner *s, const struct accel *a, uint
         return true;
     }
     case BVH_LEAF: {
-        const struct bvh_leaf *leaf = bvh_leaf_at(arena, s->ref);
+        LEAF_ROOM(room, 1);
+        const struct bvh_leaf *leaf = leaf_of(a, &a->scene_tree, s->ref, room);
         COUNT(leaves);
         s->best.found = leaf_blocks(&s->ray, leaf, edge_bits, &s->span, s->best.t);
         break;

@@ -90,6 +90,7 @@ static void walk_tree(const struct walk *w, const struct bvh *tree, const struct
                       uint32_t object, struct trace_best *best)
 {
     struct entry stack[BVH_STACK];
+    struct bvh_leaf room;
     int top = 0;
     float from = -round_up(-w->tmin);
     stack[top++] = (struct entry){tree->root, from};
@@ -103,7 +104,7 @@ static void walk_tree(const struct walk *w, const struct bvh *tree, const struct
             top = push_children(ray, bvh_node_at(tree->arena, e.ref), from, to, stack, top);
             break;
         case BVH_LEAF:
-            offer_leaf(w, ray, bvh_leaf_at(tree->arena, e.ref), object, best);
+            offer_leaf(w, ray, accel_leaf(w->accel, tree, e.ref, &room), object, best);
             break;
         case BVH_OBJECT:
             offer_object(w, ray, e.ref >> BVH_KIND_BITS, best);

@@ -12,20 +12,25 @@ set(trace_sources
   ${trace_dir}/bvh_wide.c
   ${trace_dir}/trace.c
   ${trace_dir}/trace_avx2.c
+  ${trace_dir}/trace_avx2_compact.c
   ${trace_dir}/trace_avx2_fast.c
   ${trace_dir}/trace_avx512.c
+  ${trace_dir}/trace_avx512_compact.c
   ${trace_dir}/trace_avx512_fast.c
   ${trace_dir}/trace_compress.c
   ${trace_dir}/trace_plain.c
   ${trace_dir}/trace_sse2.c
+  ${trace_dir}/trace_sse2_compact.c
   ${trace_dir}/trace_sse2_fast.c)
 # gcc unrolls the loops over three axes only at -O3.
 set(trace_fast $<$<CONFIG:Release>:-O3>)
 set(trace_avx2_flags -mavx2 -mfma -mbmi -mbmi2 -mlzcnt -mpopcnt)
 set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/trace.c ${trace_dir}/trace_sse2.c
-  ${trace_dir}/trace_sse2_fast.c PROPERTIES COMPILE_OPTIONS "${trace_fast}")
-set_source_files_properties(${trace_dir}/trace_avx2.c ${trace_dir}/trace_avx2_fast.c PROPERTIES
-  COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags}")
+  ${trace_dir}/trace_sse2_compact.c ${trace_dir}/trace_sse2_fast.c PROPERTIES
+  COMPILE_OPTIONS "${trace_fast}")
 set_source_files_properties(${trace_dir}/bvh_split_avx2.c PROPERTIES COMPILE_OPTIONS -mavx2)
-set_source_files_properties(${trace_dir}/trace_avx512.c ${trace_dir}/trace_avx512_fast.c PROPERTIES
+set_source_files_properties(${trace_dir}/trace_avx2.c ${trace_dir}/trace_avx2_compact.c
+  ${trace_dir}/trace_avx2_fast.c PROPERTIES COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags}")
+set_source_files_properties(${trace_dir}/trace_avx512.c ${trace_dir}/trace_avx512_compact.c
+  ${trace_dir}/trace_avx512_fast.c PROPERTIES
   COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags};-mavx512f;-mavx512vl")

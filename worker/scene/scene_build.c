@@ -6,17 +6,26 @@
 /* Below, building takes less time than finding. */
 enum { KEPT_TRIANGLES_MIN = 20000 };
 
+/* From here on trees are compact: half of gigabytes is worth more than the rays it costs. */
+enum { COMPACT_TRIANGLES_MIN = 1 << 25 };
+
+static uint64_t triangles_of(const struct accel_input *input)
+{
+    uint64_t triangles = 0;
+    for (size_t i = 0; i < input->mesh_count; i++)
+        triangles += input->meshes[i].triangle_count;
+    return triangles;
+}
+
 /* Saved trees or, where there are none that hold, built ones, which are offered. */
 static enum err find_or_build(struct render_scene *rs, const struct accel_input *input,
                               const struct accel_options *options,
                               const struct accel_runner *runner, const struct scene_trees *trees)
 {
-    uint64_t triangles = 0;
+    uint64_t triangles = triangles_of(input);
     digest key;
     void *saved = NULL;
     size_t bytes = 0;
-    for (size_t i = 0; i < input->mesh_count; i++)
-        triangles += input->meshes[i].triangle_count;
     bool kept = trees && triangles >= KEPT_TRIANGLES_MIN && options->builder != JOB_BUILDER_NONE;
     if (kept) {
         TL_TRY(accel_trees_key(input, options, runner, &key));
@@ -73,8 +82,10 @@ static enum err build_accel(struct render_scene *rs, const struct scene_building
         memcpy(objects[i].from_scene, o->from_scene, sizeof o->from_scene);
     }
     struct accel_input input = {meshes, rs->mesh_count, objects, rs->object_count};
-    struct accel_options options = {rs->spec.builder, rs->spec.intersector, rs->spec.precision,
-                                    ACCEL_ISA_AUTO};
+    struct accel_options options = {.builder = rs->spec.builder,
+                                    .intersector = rs->spec.intersector,
+                                    .precision = rs->spec.precision,
+                                    .compact = triangles_of(&input) >= COMPACT_TRIANGLES_MIN};
     e = try_lazy(rs, &input, &options, how);
     if (e == ERR_OK && !rs->accel)
         e = find_or_build(rs, &input, &options, how->runner, how->trees);
