@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "common/mem.h"
-#include "worker/render/sampler.h"
+#include "worker/render/sampler_parts.h"
 #include "worker/render/sobol.h"
 
 enum { DIMENSIONS = 256, SETS = DIMENSIONS / SAMPLER_SET_VALUES };
@@ -216,6 +216,73 @@ static void test_t22_indices(void **state)
     }
 }
 
+enum { MANY = 101 };
+
+/* Samples as a wave has them; with `far`, beyond 2^16 and beyond 2^32 among them. */
+static void many_samplers(enum job_sampler type, bool far, struct sampler s[MANY])
+{
+    for (uint32_t i = 0; i < MANY; i++) {
+        uint64_t index = i < 50 ? i : (uint64_t)i * 655;
+        if (far && i % 7 == 6)
+            index = i % 2 ? UINT64_C(0xfffffffb0) + i : 65500 + i;
+        s[i] = sampler_of(type, 3, i / 4, 11, i & 1, index);
+    }
+}
+
+static void assert_same_sets(const struct sampler s[], uint32_t count, uint32_t set,
+                             uint32_t values, double u[][MANY])
+{
+    for (uint32_t i = 0; i < count; i++) {
+        double one[SAMPLER_SET_VALUES];
+        sampler_some(&s[i], set, values, one);
+        for (uint32_t k = 0; k < values; k++)
+            assert_memory_equal(&one[k], &u[k][i], sizeof one[k]);
+    }
+}
+
+/* Many at once have the bits of each alone. */
+static void sets_of_many(void **state)
+{
+    (void)state;
+    static const uint32_t sets[] = {0, 1, 63, 64, 1u << 29};
+    struct sampler s[MANY];
+    double u[SAMPLER_SET_VALUES][MANY];
+    double *const out[SAMPLER_SET_VALUES] = {u[0], u[1], u[2], u[3]};
+    for (size_t t = 0; t < 3 * 2; t++) {
+        many_samplers(types[t / 2], t & 1, s);
+        for (size_t k = 0; k < sizeof sets / sizeof *sets; k++) {
+            sampler_sets(s, MANY, sets[k], 2, out);
+            assert_same_sets(s, MANY, sets[k], 2, u);
+            sampler_sets(s, MANY, sets[k], 4, out);
+            assert_same_sets(s, MANY, sets[k], 4, u);
+        }
+    }
+}
+
+/* Every kernel that runs here does all whole vectors of near samples, and stops before a far one.
+ */
+static void kernels_give_the_same_bits(void **state)
+{
+    (void)state;
+    struct sampler near[MANY], far[MANY];
+    double u[SAMPLER_SET_VALUES][MANY];
+    double *const out[SAMPLER_SET_VALUES] = {u[0], u[1], u[2], u[3]};
+    many_samplers(JOB_SAMPLER_SOBOL, false, near);
+    many_samplers(JOB_SAMPLER_SOBOL, true, far);
+    for (uint32_t set = 0; set < 40; set++) {
+        if (sampler_has_avx2()) {
+            assert_int_equal(sampler_sobol_avx2(near, MANY, set, out), 96);
+            assert_same_sets(near, 96, set, 4, u);
+            assert_int_equal(sampler_sobol_avx2(far, MANY, set, out), 0);
+        }
+        if (sampler_has_avx512()) {
+            assert_int_equal(sampler_sobol_avx512(near, MANY, set, out), 96);
+            assert_same_sets(near, 96, set, 4, u);
+            assert_int_equal(sampler_sobol_avx512(far, MANY, set, out), 0);
+        }
+    }
+}
+
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
@@ -226,6 +293,8 @@ int main(int argc, char **argv)
         cmocka_unit_test(sobol_table_follows_the_recurrence),
         cmocka_unit_test(halton_is_stratified),
         cmocka_unit_test(test_t22_indices),
+        cmocka_unit_test(sets_of_many),
+        cmocka_unit_test(kernels_give_the_same_bits),
     };
     return ROWS_RUN(argc, argv, tests);
 }

@@ -5,8 +5,10 @@
 #include "worker/render/warp.h"
 #include "worker/render/wave.h"
 
-/* The numbers of a vertex that choose, made when the first is asked for. */
+/* The numbers of a vertex that choose: drawn with all others of the wave, or made when the first is
+ * asked for. */
 struct choices {
+    const double *drawn; /* WAVE_PATHS apart; NULL: not drawn */
     uint32_t set;
     bool made;
     double u[SAMPLER_SET_VALUES];
@@ -16,6 +18,8 @@ enum choice { CHOICE_LOBE, CHOICE_ROULETTE, CHOICE_LIGHT };
 
 static double choose(struct choices *c, const struct path *path, enum choice which)
 {
+    if (c->drawn)
+        return c->drawn[(size_t)which * WAVE_PATHS];
     if (!c->made)
         sampler_set(&path->sampler, c->set, c->u);
     c->made = true;
@@ -161,6 +165,12 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices));
 }
 
+/* True if every vertex that samples lights asks for a number that chooses. */
+static bool chooses_always(const struct render_scene *scene)
+{
+    return scene->lights.count > 1 && scene->spec.profile != JOB_PROFILE_RW;
+}
+
 /* One vertex of one path: emission, light sampling, next direction. True if it goes on. */
 static bool advance(const struct render_scene *scene, struct render_scratch *w, uint32_t from,
                     uint32_t depth, uint32_t depth_max, uint32_t slot)
@@ -187,15 +197,15 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     if (depth >= depth_max || m->type == SCENE_MATERIAL_BLACK)
         return false;
     uint32_t set = (depth - 1) * WAVE_SETS_PER_VERTEX;
-    double u[SAMPLER_SET_VALUES];
-    struct choices choices = {.set = WAVE_SET_CHOICE + set};
-    sampler_set(&path->sampler, WAVE_SET_VERTEX + set, u);
+    const double direction[2] = {w->vertex_u[0][from], w->vertex_u[1][from]};
+    struct choices choices = {.drawn = chooses_always(scene) ? &w->choice_u[0][from] : NULL,
+                              .set = WAVE_SET_CHOICE + set};
     if (!m->is_delta && scene->spec.profile != JOB_PROFILE_RW)
         connect_lights(scene, w, index, &at, &choices);
     if (depth + 1 == depth_max && !last_edge_counts(scene, m->is_delta))
         return false;
-    path->light_u[0] = u[2];
-    path->light_u[1] = u[3];
+    path->light_u[0] = w->vertex_u[2][from];
+    path->light_u[1] = w->vertex_u[3][from];
     vec3 wi;
     bool shares = false;
     if (reuse && !m->is_delta && w->reuse[index].state == REUSE_NONE) {
@@ -203,7 +213,7 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
         shares = true;
     }
     struct bsdf_sample sample;
-    if (!scatter(scene, path, &at, u, &choices, shares, &wi, &sample))
+    if (!scatter(scene, path, &at, direction, &choices, shares, &wi, &sample))
         return false;
     if (footprint)
         wave_leave(scene, &at, hit, dir, wi, &sample, footprint);
@@ -220,7 +230,11 @@ void integrate_path(const struct render_scene *scene, struct render_scratch *w)
     for (uint32_t depth = 1; w->active_count > 0 && depth <= depth_max; depth++) {
         if (depth > 1)
             wave_trace(scene, w);
-        uint32_t kept = 0;
+        uint32_t kept = 0, set = (depth - 1) * WAVE_SETS_PER_VERTEX;
+        if (depth < depth_max)
+            wave_draw(w, WAVE_SET_VERTEX + set, w->vertex_u);
+        if (depth < depth_max && chooses_always(scene))
+            wave_draw(w, WAVE_SET_CHOICE + set, w->choice_u);
         for (uint32_t i = 0; i < w->active_count; i++)
             kept += advance(scene, w, i, depth, depth_max, kept);
         w->active_count = kept;

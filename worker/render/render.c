@@ -123,14 +123,14 @@ static struct sampler group_sampler(const struct render_scene *scene, const stru
                       group_index(scene, c, lane));
 }
 
-/* Makes the sample of a pixel of the group at the cursor a path with its camera ray. */
+/* Makes the sample of a pixel of the group at the cursor a path, as yet without a ray. */
 static void start_path(const struct render_scene *scene, const struct cursor *c, uint32_t x,
                        uint32_t y, struct render_scratch *w)
 {
     const struct job_spec *spec = &scene->spec;
     uint32_t index = w->path_count++;
     struct path *path = &w->paths[index];
-    struct sampler own = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, sequence_of(c),
+    w->samplers[index] = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, sequence_of(c),
                                     c->block.begin + c->sample);
     path->sampler = group_sampler(scene, c, x, y);
     path->x = x;
@@ -142,25 +142,43 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     path->pdf = 0;
     path->passes = 0;
     w->reuse[index].state = REUSE_NONE;
+}
+
+/* Draws the film point of path `index` from two numbers, and sets its camera ray.
+ */
+static void aim_path(const struct render_scene *scene, struct render_scratch *w, uint32_t index,
+                     double u_x, double u_y)
+{
+    struct path *path = &w->paths[index];
     double u[SAMPLER_SET_VALUES] = {0}, weight_x, weight_y;
-    /* Where lights are sampled, the first two numbers, which are spread best, are theirs. */
-    bool lights =
-        spec->integrator == JOB_INTEGRATOR_PATH || spec->integrator == JOB_INTEGRATOR_DIRECT;
-    sampler_some(&own, WAVE_SET_CAMERA, lights ? 4 : 2, u);
-    const double *film = lights ? u + 2 : u;
-    double film_x = x + 0.5 + film_filter_sample(&scene->filter, film[0], &weight_x);
-    double film_y = y + 0.5 + film_filter_sample(&scene->filter, film[1], &weight_y);
+    double film_x = path->x + 0.5 + film_filter_sample(&scene->filter, u_x, &weight_x);
+    double film_y = path->y + 0.5 + film_filter_sample(&scene->filter, u_y, &weight_y);
     path->filter_weight = weight_x * weight_y;
-    path->light_u[0] = u[0];
-    path->light_u[1] = u[1];
     if (scene->camera.type == SCENE_CAMERA_THIN_LENS)
-        sampler_set(&own, WAVE_SET_LENS, u);
+        sampler_set(&w->samplers[index], WAVE_SET_LENS, u);
     vec3 dir;
     camera_ray(&scene->camera, film_x, film_y, u, &path->org, &dir);
     if (scene->has_filtered)
         camera_footprint(&scene->camera, film_x, film_y, u, scene->footprint_step,
                          &w->footprints[index]);
     wave_continue(w, index, index, path->org, dir);
+}
+
+/* Gives the paths of the wave their camera rays. */
+static void aim_paths(const struct render_scene *scene, struct render_scratch *w)
+{
+    double(*u)[WAVE_PATHS] = w->vertex_u;
+    double *const values[SAMPLER_SET_VALUES] = {u[0], u[1], u[2], u[3]};
+    /* Where lights are sampled, the first two numbers, which are spread best, are theirs. */
+    bool lights = scene->spec.integrator == JOB_INTEGRATOR_PATH ||
+                  scene->spec.integrator == JOB_INTEGRATOR_DIRECT;
+    sampler_sets(w->samplers, w->path_count, WAVE_SET_CAMERA, lights ? 4 : 2, values);
+    int film = lights ? 2 : 0;
+    for (uint32_t i = 0; i < w->path_count; i++) {
+        w->paths[i].light_u[0] = u[0][i];
+        w->paths[i].light_u[1] = u[1][i];
+        aim_path(scene, w, i, u[film][i], u[film + 1][i]);
+    }
 }
 
 static void fill_wave(const struct render_scene *scene, struct cursor *c, struct render_scratch *w)
@@ -174,6 +192,7 @@ static void fill_wave(const struct render_scene *scene, struct cursor *c, struct
                 start_path(scene, c, g.x + x, g.y + y, w);
         cursor_next(c);
     }
+    aim_paths(scene, w);
     w->groups[w->group_count] = w->path_count;
     w->active_count = w->path_count;
 }

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "worker/render/sampler_parts.h"
 #include "worker/render/sobol.h"
 
 static const uint16_t primes[SAMPLER_HALTON_DIMENSIONS] = {
@@ -196,4 +197,22 @@ void sampler_set(const struct sampler *s, uint32_t set, double u[SAMPLER_SET_VAL
         sobol_set(s->key, s->index, set, u);
     else
         sampler_some(s, set, SAMPLER_SET_VALUES, u);
+}
+
+void sampler_sets(const struct sampler s[], uint32_t count, uint32_t set, uint32_t values,
+                  double *const u[SAMPLER_SET_VALUES])
+{
+    uint32_t done = 0;
+    if (count > 0 && s[0].type == JOB_SAMPLER_SOBOL) {
+        if (sampler_has_avx512())
+            done = sampler_sobol_avx512(s, count, set, u);
+        else if (sampler_has_avx2())
+            done = sampler_sobol_avx2(s, count, set, u);
+    }
+    for (uint32_t i = done; i < count; i++) {
+        double one[SAMPLER_SET_VALUES];
+        sampler_some(&s[i], set, values, one);
+        for (uint32_t k = 0; k < values; k++)
+            u[k][i] = one[k];
+    }
 }

@@ -39,6 +39,12 @@ void sampler_some(const struct sampler *s, uint32_t set, uint32_t count, double 
 /* The four values of a set. */
 void sampler_set(const struct sampler *s, uint32_t set, double u[SAMPLER_SET_VALUES]);
 
+/* The first `values` values of a set of many samplers of one type, in vectors where the CPU has
+ * them: u[k][i] is value k of s[i], the bits that sampler_some gives. u[0] to u[3] have room for
+ * `count`; those from `values` on may be written, too. */
+void sampler_sets(const struct sampler s[], uint32_t count, uint32_t set, uint32_t values,
+                  double *const u[SAMPLER_SET_VALUES]);
+
 /* A 64-bit mixing function: every input bit changes half of the output bits. */
 static inline uint64_t sampler_mix(uint64_t v)
 {

@@ -10,6 +10,8 @@ set(trace_sources
   ${trace_dir}/bvh_split_avx2.c
   ${trace_dir}/bvh_split_sse2.c
   ${trace_dir}/bvh_wide.c
+  ${trace_dir}/sampler_sets_avx2.c
+  ${trace_dir}/sampler_sets_avx512.c
   ${trace_dir}/trace.c
   ${trace_dir}/trace_avx2.c
   ${trace_dir}/trace_avx2_compact.c
@@ -34,3 +36,7 @@ set_source_files_properties(${trace_dir}/trace_avx2.c ${trace_dir}/trace_avx2_co
 set_source_files_properties(${trace_dir}/trace_avx512.c ${trace_dir}/trace_avx512_compact.c
   ${trace_dir}/trace_avx512_fast.c PROPERTIES
   COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags};-mavx512f;-mavx512vl")
+set_source_files_properties(${trace_dir}/sampler_sets_avx2.c PROPERTIES COMPILE_OPTIONS
+  "${trace_fast};-mavx2")
+set_source_files_properties(${trace_dir}/sampler_sets_avx512.c PROPERTIES COMPILE_OPTIONS
+  "${trace_fast};-mavx2;-mavx512f;-mavx512vl")

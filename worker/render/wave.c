@@ -69,6 +69,14 @@ void wave_leave(const struct render_scene *scene, const struct shade *at, const 
         footprint_mirror(scene, hit, at->surface.ns, dir, f);
 }
 
+void wave_draw(struct render_scratch *w, uint32_t set, double u[][WAVE_PATHS])
+{
+    for (uint32_t i = 0; i < w->active_count; i++)
+        w->samplers[i] = w->paths[w->active[i]].sampler;
+    double *const values[SAMPLER_SET_VALUES] = {u[0], u[1], u[2], u[3]};
+    sampler_sets(w->samplers, w->active_count, set, SAMPLER_SET_VALUES, values);
+}
+
 void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target, bool distant,
                  vec3 wi, rgb radiance)
 {

@@ -58,6 +58,12 @@ struct render_scratch {
     uint8_t occluded[WAVE_PATHS];
     uint32_t shadow_count;
 
+    /* The samplers that wave_draw asks, or of the cameras, and values of sets: of the ray of the
+     * same number. */
+    struct sampler samplers[WAVE_PATHS];
+    double vertex_u[SAMPLER_SET_VALUES][WAVE_PATHS];
+    double choice_u[SAMPLER_SET_VALUES][WAVE_PATHS];
+
     struct reuse_connections connections;
 
     /* AOVs of kind MEAN of the path of the same number; only where some are asked for. */
@@ -84,6 +90,9 @@ enum { WAVE_PASSES_MAX = 1024 };
 
 /* Casts the rays under way; where alpha lets a ray through, it goes on until something holds it. */
 void wave_trace(const struct render_scene *scene, struct render_scratch *w);
+
+/* Draws a set for all rays under way into u, one of the arrays of the scratch memory. */
+void wave_draw(struct render_scratch *w, uint32_t set, double u[][WAVE_PATHS]);
 
 /* Adds a shadow ray for a path: from `org` to `target`, or along `wi` without end if `distant`. */
 void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target, bool distant,
