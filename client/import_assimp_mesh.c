@@ -89,8 +89,8 @@ static const struct aiVector3D *uvs_of(const struct assimp_import *a, const stru
     return mesh->mTextureCoords[set];
 }
 
-/* The first set, which is linear. Its alpha is not read. */
-static bool fill_colors(struct assimp_import *a, const struct aiMesh *mesh, struct scene_mesh *m)
+/* The first set, which is linear. Where all are opaque there is no alpha. */
+static bool fill_colors(const struct aiMesh *mesh, struct scene_mesh *m)
 {
     const struct aiColor4D *from = mesh->mColors[0];
     m->colors = mem_alloc_array(mesh->mNumVertices, 3 * sizeof *m->colors);
@@ -99,11 +99,12 @@ static bool fill_colors(struct assimp_import *a, const struct aiMesh *mesh, stru
         const double c[3] = {(double)from[i].r, (double)from[i].g, (double)from[i].b};
         for (size_t k = 0; k < 3; k++)
             m->colors[3 * i + k] = model_vertex_color(c[k], false);
-        clear |= from[i].a > 0 && from[i].a < 1;
+        clear |= !(from[i].a >= 1);
     }
-    if (clear && import_once(a->im, IMPORT_ONCE_VERTEX_ALPHA))
-        import_warn(a->im, "left-out", NULL, "the alpha of colours of vertices is left out");
-    return m->colors != NULL;
+    m->alphas = clear ? mem_alloc_array(mesh->mNumVertices, sizeof *m->alphas) : NULL;
+    for (size_t i = 0; m->alphas && i < mesh->mNumVertices; i++)
+        m->alphas[i] = model_vertex_color((double)from[i].a, false);
+    return m->colors && (m->alphas || !clear);
 }
 
 static bool fill_vertices(struct assimp_import *a, const struct aiMesh *mesh, struct scene_mesh *m)
@@ -116,7 +117,7 @@ static bool fill_vertices(struct assimp_import *a, const struct aiMesh *mesh, st
     m->uvs = uvs ? mem_alloc_array(2 * count, sizeof *m->uvs) : NULL;
     if (!m->positions || (mesh->mNormals && !m->normals) || (uvs && !m->uvs))
         return false;
-    if (mesh->mColors[0] && !fill_colors(a, mesh, m))
+    if (mesh->mColors[0] && !fill_colors(mesh, m))
         return false;
     for (unsigned i = 0; i < mesh->mNumVertices; i++) {
         position_of(a, mesh, i, m->positions + 3 * (size_t)i);

@@ -80,7 +80,6 @@ enum err import_fail(struct import *im, const char *id, const char *hint, const 
 /* Says each only once per model. */
 enum import_once {
     IMPORT_ONCE_UV_SET,
-    IMPORT_ONCE_VERTEX_ALPHA,
     IMPORT_ONCE_OCCLUSION,
     IMPORT_ONCE_VOLUME,
     IMPORT_ONCE_DETAIL_MAP,

@@ -462,6 +462,18 @@ enum err import_obj(struct import *im, const char *text, size_t bytes)
     return e;
 }
 
+/* True if some vertices can be seen through and some not: opacity that is meant. Many programs
+ * write one number everywhere. */
+static bool alphas_tell(const struct scene_mesh *m)
+{
+    bool clear = false, opaque = false;
+    for (size_t i = 0; m->alphas && i < m->vertex_count; i++) {
+        clear |= m->alphas[i] < 1;
+        opaque |= m->alphas[i] > 0;
+    }
+    return clear && opaque;
+}
+
 enum err import_ply(struct import *im, const char *data, size_t bytes)
 {
     struct scene_mesh mesh;
@@ -471,6 +483,12 @@ enum err import_ply(struct import *im, const char *data, size_t bytes)
     TL_TRY(ply_read_mesh(data, bytes, im->path, &mesh, im->problems));
     bool has_uvs = mesh.uvs != NULL;
     plain_material(mesh.colors != NULL, &material);
+    if (alphas_tell(&mesh)) {
+        material.type = SCENE_MATERIAL_PRINCIPLED;
+        material.distribution = SCENE_GGX;
+        material.specular = 0;
+        material.alpha_used = true;
+    }
     if (!mesh.colors)
         tell_ply_face_colors(im, data, bytes);
     TL_TRY(import_add_mesh(im, &mesh, &object.mesh));

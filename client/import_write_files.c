@@ -71,6 +71,8 @@ static void put_header(const struct scene_mesh *m, struct buf *out)
         buf_printf(out, "property float u\nproperty float v\n");
     if (m->colors)
         buf_printf(out, "property float red\nproperty float green\nproperty float blue\n");
+    if (m->alphas)
+        buf_printf(out, "property float alpha\n");
     buf_printf(out, "element face %u\nproperty list uchar uint vertex_indices\nend_header\n",
                m->triangle_count);
 }
@@ -87,6 +89,8 @@ static void put_mesh(const struct scene_mesh *m, struct buf *out)
             buf_put_f32(out, m->uvs[2 * i + c]);
         for (size_t c = 0; m->colors && c < 3; c++)
             buf_put_f32(out, m->colors[3 * i + c]);
+        if (m->alphas)
+            buf_put_f32(out, m->alphas[i]);
     }
     for (size_t t = 0; t < m->triangle_count; t++) {
         buf_put_u8(out, 3);

@@ -23,7 +23,7 @@
 #include "common/scene.h"
 
 enum {
-    PACKAGE_VERSION = 5,
+    PACKAGE_VERSION = 6,
     PACKAGE_CHUNKS_MAX = 1 << 21,
     PACKAGE_ROOT_BYTES_MAX = 1 << 30,
 };
@@ -47,6 +47,7 @@ struct package_chunk {
     X(VERTICES, "vertices", "no triangle has them")                                                \
     X(UVS, "texture coordinates", "nothing on their meshes is looked up by them")                  \
     X(COLORS, "colours of vertices", "no material on their meshes reads them")                     \
+    X(ALPHAS, "opacities of vertices", "no material on their meshes reads them")                   \
     X(DIGITS, "halves of coordinates", "all coordinates of their meshes are exactly floats")       \
     X(MATERIALS, "materials", "no object that can be met has them")                                \
     X(TEXTURES, "textures", "no material in use reads them")                                       \

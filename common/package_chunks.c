@@ -16,7 +16,8 @@ enum {
     MESH_HAS_UVS = 2,
     MESH_POSITIONS_F32 = 4,
     MESH_HAS_COLORS = 8,
-    MESH_FLAGS_ALL = 15
+    MESH_HAS_ALPHAS = 16,
+    MESH_FLAGS_ALL = 31
 };
 enum { HEAD_BYTES = 8 }; /* magic and version */
 
@@ -62,7 +63,8 @@ enum err package_mesh_put(const struct scene_mesh *m, bool f32, struct buf *out)
     struct codec c = {.out = out};
     size_t corners = (size_t)m->triangle_count * 3;
     uint32_t flags = (m->normals ? MESH_HAS_NORMALS : 0u) | (m->uvs ? MESH_HAS_UVS : 0u) |
-                     (f32 ? MESH_POSITIONS_F32 : 0u) | (m->colors ? MESH_HAS_COLORS : 0u);
+                     (f32 ? MESH_POSITIONS_F32 : 0u) | (m->colors ? MESH_HAS_COLORS : 0u) |
+                     (m->alphas ? MESH_HAS_ALPHAS : 0u);
     codec_magic(&c, mesh_magic);
     buf_put_u32(out, m->vertex_count);
     buf_put_u32(out, m->triangle_count);
@@ -74,6 +76,8 @@ enum err package_mesh_put(const struct scene_mesh *m, bool f32, struct buf *out)
         put_words(out, m->uvs, m->vertex_count, 2, sizeof(float));
     if (m->colors)
         put_words(out, m->colors, m->vertex_count, 3, sizeof(float));
+    if (m->alphas)
+        put_words(out, m->alphas, m->vertex_count, 1, sizeof(float));
     unsigned char *at = buf_extend(out, corners * sizeof(uint32_t));
     if (at)
         filter_indices_put(m->indices, corners, at);
@@ -83,7 +87,8 @@ enum err package_mesh_put(const struct scene_mesh *m, bool f32, struct buf *out)
 uint64_t package_mesh_bytes(const struct scene_mesh *m)
 {
     uint64_t vertex = 3 * sizeof(double) + (m->normals ? 3 * sizeof(float) : 0) +
-                      (m->uvs ? 2 * sizeof(float) : 0) + (m->colors ? 3 * sizeof(float) : 0);
+                      (m->uvs ? 2 * sizeof(float) : 0) + (m->colors ? 3 * sizeof(float) : 0) +
+                      (m->alphas ? sizeof(float) : 0);
     return HEAD_BYTES + 3 * sizeof(uint32_t) + m->vertex_count * vertex +
            m->triangle_count * UINT64_C(3) * sizeof(uint32_t) + CODEC_ENTRY_BYTES +
            CODEC_NAME_BYTES + strlen(m->name);
@@ -158,6 +163,8 @@ enum err package_mesh_get(const void *data, size_t bytes, struct scene_mesh *m)
         m->uvs = get_words(&c, vertices, 2, sizeof(float));
     if (flags & MESH_HAS_COLORS)
         m->colors = get_words(&c, vertices, 3, sizeof(float));
+    if (flags & MESH_HAS_ALPHAS)
+        m->alphas = get_words(&c, vertices, 1, sizeof(float));
     m->indices = get_indices(&c, (size_t)m->triangle_count * 3);
     enum err e = codec_end(&c); /* what it holds is judged by scene_valid */
     if (e != ERR_OK)

@@ -20,6 +20,7 @@ void package_trim_mesh_release(struct trimmed_mesh *t)
         mem_free(t->mesh.normals);
         mem_free(t->mesh.uvs);
         mem_free(t->mesh.colors);
+        mem_free(t->mesh.alphas);
     }
     if (t->own_indices)
         mem_free(t->mesh.indices);
@@ -71,11 +72,14 @@ static enum err renumber(struct trimmed_mesh *t, const uint32_t *map, uint32_t u
     to->uvs = from.uvs ? pick(from.uvs, from.vertex_count, 2 * sizeof(float), map, used) : NULL;
     to->colors =
         from.colors ? pick(from.colors, from.vertex_count, 3 * sizeof(float), map, used) : NULL;
+    to->alphas =
+        from.alphas ? pick(from.alphas, from.vertex_count, sizeof(float), map, used) : NULL;
     to->indices = mem_alloc_array(corners, sizeof *to->indices);
     for (size_t i = 0; to->indices && i < corners; i++)
         to->indices[i] = map[from.indices[i]];
     return to->positions && to->indices && (to->normals || !from.normals) &&
-                   (to->uvs || !from.uvs) && (to->colors || !from.colors)
+                   (to->uvs || !from.uvs) && (to->colors || !from.colors) &&
+                   (to->alphas || !from.alphas)
                ? ERR_OK
                : ERR_NOMEM;
 }
@@ -96,12 +100,17 @@ enum err package_trim_mesh(const struct scene_mesh *m, const struct scene_plan_m
         out->mesh.colors = NULL;
         leave(left, PACKAGE_LEFT_COLORS, m->vertex_count, m->vertex_count * UINT64_C(12));
     }
+    if (!plan->alphas && m->alphas) {
+        out->mesh.alphas = NULL;
+        leave(left, PACKAGE_LEFT_ALPHAS, m->vertex_count, m->vertex_count * UINT64_C(4));
+    }
     enum err e = ERR_OK;
     if (used < m->vertex_count) {
         uint64_t gone = m->vertex_count - used;
         uint64_t each = 3 * sizeof(double) + (m->normals ? 3 * sizeof(float) : 0) +
                         (out->mesh.uvs ? 2 * sizeof(float) : 0) +
-                        (out->mesh.colors ? 3 * sizeof(float) : 0);
+                        (out->mesh.colors ? 3 * sizeof(float) : 0) +
+                        (out->mesh.alphas ? sizeof(float) : 0);
         leave(left, PACKAGE_LEFT_VERTICES, gone, gone * each);
     }
     if (!same)

@@ -19,7 +19,7 @@ enum scalar { INT8, UINT8, INT16, UINT16, INT32, UINT32, FLOAT32, FLOAT64, SCALA
 static const size_t scalar_bytes[SCALAR_COUNT] = {1, 1, 2, 2, 4, 4, 4, 8};
 
 /* What a property of a vertex means to us; NONE: skipped. */
-enum role { NONE, X, Y, Z, NX, NY, NZ, U, V, RED, GREEN, BLUE, ROLE_COUNT };
+enum role { NONE, X, Y, Z, NX, NY, NZ, U, V, RED, GREEN, BLUE, ALPHA, ROLE_COUNT };
 
 struct property {
     bool list;
@@ -49,7 +49,7 @@ struct reader {
     struct scene_mesh mesh; /* being made */
     bool has[ROLE_COUNT], has_vertices;
     bool skim_vertices, skim_faces; /* read past them */
-    double color_max[3]; /* the integer that is full, of red, green, blue; 0: floats, linear */
+    double color_max[4]; /* the integer that is full, of red to alpha; 0: floats, linear */
     uint64_t vertex_count;
     size_t triangle_count, triangle_capacity;
     uint32_t *list; /* of the face being read */
@@ -127,7 +127,7 @@ static enum role role_of(const char *name)
     } roles[] = {{"x", X},     {"y", Y},         {"z", Z},         {"nx", NX},
                  {"ny", NY},   {"nz", NZ},       {"u", U},         {"v", V},
                  {"s", U},     {"t", V},         {"texture_u", U}, {"texture_v", V},
-                 {"red", RED}, {"green", GREEN}, {"blue", BLUE}};
+                 {"red", RED}, {"green", GREEN}, {"blue", BLUE},   {"alpha", ALPHA}};
     for (size_t i = 0; i < sizeof roles / sizeof *roles; i++)
         if (strcmp(name, roles[i].name) == 0)
             return roles[i].role;
@@ -316,7 +316,9 @@ static bool vertex_alloc(struct reader *r)
     bool colored = r->has[RED] && r->has[GREEN] && r->has[BLUE];
     if (colored)
         m->colors = mem_calloc(count, 3 * sizeof *m->colors);
-    return m->positions && (m->colors || !colored) &&
+    if (colored && r->has[ALPHA])
+        m->alphas = mem_calloc(count, sizeof *m->alphas);
+    return m->positions && (m->colors || !colored) && (m->alphas || !(colored && r->has[ALPHA])) &&
            (m->normals || !(r->has[NX] && r->has[NY] && r->has[NZ])) &&
            (m->uvs || !(r->has[U] && r->has[V]));
 }
@@ -348,6 +350,10 @@ static void put_vertex(struct reader *r, size_t i, const double v[ROLE_COUNT])
     for (size_t j = 0; m->colors && j < 3; j++) {
         double max = r->color_max[j];
         m->colors[3 * i + j] = model_vertex_color(max > 0 ? v[RED + j] / max : v[RED + j], max > 0);
+    }
+    if (m->alphas) {
+        double max = r->color_max[3];
+        m->alphas[i] = model_vertex_color(max > 0 ? v[ALPHA] / max : v[ALPHA], false);
     }
     if (m->normals)
         put_unit(v + NX, m->normals + 3 * i);

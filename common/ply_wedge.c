@@ -47,11 +47,14 @@ static enum err gather(struct scene_mesh *mesh, const struct splitter *s)
     float *normals = mesh->normals ? mem_alloc_array(s->count, 3 * sizeof *normals) : NULL;
     float *uvs = mem_alloc_array(s->count, 2 * sizeof *uvs);
     float *colors = mesh->colors ? mem_alloc_array(s->count, 3 * sizeof *colors) : NULL;
-    if (!positions || (mesh->normals && !normals) || (mesh->colors && !colors) || !uvs) {
+    float *alphas = mesh->alphas ? mem_alloc_array(s->count, sizeof *alphas) : NULL;
+    if (!positions || (mesh->normals && !normals) || (mesh->colors && !colors) ||
+        (mesh->alphas && !alphas) || !uvs) {
         mem_free(positions);
         mem_free(normals);
         mem_free(uvs);
         mem_free(colors);
+        mem_free(alphas);
         return ERR_NOMEM;
     }
     for (size_t i = 0; i < s->count; i++) {
@@ -61,13 +64,17 @@ static enum err gather(struct scene_mesh *mesh, const struct splitter *s)
             memcpy(normals + 3 * i, mesh->normals + 3 * from, 3 * sizeof *normals);
         if (colors)
             memcpy(colors + 3 * i, mesh->colors + 3 * from, 3 * sizeof *colors);
+        if (alphas)
+            alphas[i] = mesh->alphas[from];
         memcpy(uvs + 2 * i, s->variants[i].uv, sizeof s->variants[i].uv);
     }
     mem_free(mesh->positions);
     mem_free(mesh->normals);
     mem_free(mesh->uvs);
     mem_free(mesh->colors);
+    mem_free(mesh->alphas);
     mesh->colors = colors;
+    mesh->alphas = alphas;
     mesh->positions = positions;
     mesh->normals = normals;
     mesh->uvs = uvs;

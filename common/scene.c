@@ -97,6 +97,7 @@ void scene_mesh_release(struct scene_mesh *m)
     mem_free(m->normals);
     mem_free(m->uvs);
     mem_free(m->colors);
+    mem_free(m->alphas);
     mem_free(m->indices);
     *m = (struct scene_mesh){0};
 }
@@ -245,7 +246,8 @@ static bool mesh_valid(const struct scene_mesh *m)
     return all_finite(m->positions, (size_t)m->vertex_count * 3) &&
            all_finite_f32(m->normals, (size_t)m->vertex_count * 3) &&
            all_finite_f32(m->uvs, (size_t)m->vertex_count * 2) &&
-           all_in_unit_f32(m->colors, (size_t)m->vertex_count * 3);
+           all_in_unit_f32(m->colors, (size_t)m->vertex_count * 3) &&
+           all_in_unit_f32(m->alphas, m->vertex_count);
 }
 
 static bool object_valid(const struct scene *s, const struct scene_object *o)

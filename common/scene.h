@@ -81,7 +81,8 @@ struct scene_material {
     uint32_t texture;   /* albedo, reflectance or base colour; SCENE_NONE: `color` */
     double color[3];    /* used when texture is SCENE_NONE; else a factor (default 1) */
     bool twosided;      /* diffuse: reflects on both sides of the normal */
-    bool vertex_colors; /* diffuse, principled: times the mesh's colours, where it has some */
+    bool vertex_colors; /* diffuse, principled: times the mesh's colours, and opacity times its
+                           alphas, where it has some */
     enum scene_distribution distribution;
     uint32_t bump_texture;   /* heights along the normal, as luminance; SCENE_NONE: none */
     double bump_scale;       /* world units that a height of 1 stands for */
@@ -116,6 +117,7 @@ struct scene_mesh {
     float *normals;    /* 3 * vertex_count, unit or zero; or NULL */
     float *uvs;        /* 2 * vertex_count; or NULL */
     float *colors;     /* 3 * vertex_count, linear, 0 to 1; or NULL */
+    float *alphas;     /* vertex_count, opacity, 0 to 1; or NULL: 1 */
     uint32_t *indices; /* 3 * triangle_count, each < vertex_count */
 };
 

@@ -185,6 +185,7 @@ static void mark_meshes(struct scene_plan *p, const struct scene *s, bool uvs_sh
             scene_plan_material(&s->materials[o->material], p->emissions[o->material]);
         p->meshes[o->mesh].uvs |= s->meshes[o->mesh].uvs && reads_uvs(s, &m);
         p->meshes[o->mesh].colors |= s->meshes[o->mesh].colors && m.vertex_colors;
+        p->meshes[o->mesh].alphas |= s->meshes[o->mesh].alphas && m.vertex_colors && m.alpha_used;
     }
     for (size_t i = 0; i < s->mesh_count; i++) {
         if (p->meshes[i].uses == 0)
@@ -195,6 +196,8 @@ static void mark_meshes(struct scene_plan *p, const struct scene *s, bool uvs_sh
             need(p, SCENE_FEATURE_UVS);
         if (p->meshes[i].colors)
             need(p, SCENE_FEATURE_COLORS);
+        if (p->meshes[i].alphas)
+            need(p, SCENE_FEATURE_OPACITY);
         if (!scene_plan_has(p, SCENE_FEATURE_DOUBLES) && !all_floats(&s->meshes[i]))
             need(p, SCENE_FEATURE_DOUBLES);
     }
@@ -266,7 +269,8 @@ enum err scene_plan_keep_all(const struct scene *scene, struct scene_plan *out)
     for (size_t i = 0; i < scene->image_count; i++)
         out->channels[i] = SCENE_CHANNELS_RGB | SCENE_CHANNEL_A;
     for (size_t i = 0; i < scene->mesh_count; i++)
-        out->meshes[i] = (struct scene_plan_mesh){.uses = 1, .uvs = true, .colors = true};
+        out->meshes[i] =
+            (struct scene_plan_mesh){.uses = 1, .uvs = true, .colors = true, .alphas = true};
     out->whole = true;
     return ERR_OK;
 }

@@ -62,6 +62,7 @@ struct scene_plan_mesh {
     uint32_t uses; /* by objects that can be met; 0: not kept */
     bool uvs;      /* some object's material looks something up by them */
     bool colors;   /* some object's material reads them */
+    bool alphas;   /* and their opacity */
 };
 
 struct scene_plan {

@@ -81,6 +81,8 @@ static void add_meshes(const struct scene *s, const struct scene_plan *p,
             out->geometry += m->vertex_count * UINT64_C(8);
         if (p->meshes[i].colors)
             out->geometry += m->vertex_count * UINT64_C(12);
+        if (p->meshes[i].alphas)
+            out->geometry += m->vertex_count * UINT64_C(4);
         if (p->meshes[i].uses < 2 || m->triangle_count < SCENE_INSTANCE_TRIANGLES_MIN)
             continue;
         out->triangles += m->triangle_count;

@@ -19,6 +19,8 @@ static inline void mesh_judge(const struct scene_mesh *m)
         TL_ASSERT(isfinite(m->uvs[i]));
     for (size_t i = 0; m->colors && i < (size_t)m->vertex_count * 3; i++)
         TL_ASSERT(m->colors[i] >= 0 && m->colors[i] <= 1);
+    for (size_t i = 0; m->alphas && i < m->vertex_count; i++)
+        TL_ASSERT(m->alphas[i] >= 0 && m->alphas[i] <= 1);
 }
 
 #endif

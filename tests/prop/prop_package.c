@@ -49,6 +49,9 @@ static void make_mesh(struct scene_mesh *m)
     m->colors = draw(2) ? new_items(m->vertex_count, 3 * sizeof(float)) : NULL;
     for (size_t i = 0; m->colors && i < (size_t)m->vertex_count * 3; i++)
         m->colors[i] = (float)draw(256) / 255;
+    m->alphas = draw(2) ? new_items(m->vertex_count, sizeof(float)) : NULL;
+    for (size_t i = 0; m->alphas && i < m->vertex_count; i++)
+        m->alphas[i] = (float)draw(256) / 255;
     bool plain = draw(3) == 0; /* equal meshes must share a chunk */
     for (size_t i = 0; i < (size_t)m->vertex_count * 3; i++)
         m->positions[i] = plain ? 1 : draw_number();

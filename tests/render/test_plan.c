@@ -198,7 +198,10 @@ static void add_colors(struct scene *s, uint32_t object)
 {
     struct scene_mesh *m = &s->meshes[s->objects[object].mesh];
     m->colors = mem_calloc(m->vertex_count, 3 * sizeof *m->colors);
-    TL_ASSERT(m->colors);
+    m->alphas = mem_calloc(m->vertex_count, sizeof *m->alphas);
+    TL_ASSERT(m->colors && m->alphas);
+    for (size_t i = 0; i < m->vertex_count; i++)
+        m->alphas[i] = (float)(i % 5) / 4;
     for (size_t i = 0; i < (size_t)m->vertex_count * 3; i++)
         m->colors[i] = (float)(i % 7) / 6;
 }
@@ -300,9 +303,15 @@ static void check_colors(void)
     m->vertex_colors = true;
     add_colors(&s, add_quad(&s, 0, shows));
     add_colors(&s, add_quad(&s, -1, kit_diffuse(&s, 0.5, 0.5, 0.5)));
+    uint32_t veil = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->vertex_colors = m->alpha_used = true;
+    add_colors(&s, add_quad(&s, 0.5, veil));
     scene_check(&s);
     struct package p = check_scene("colours", &s);
     expect(&p, PACKAGE_LEFT_COLORS, 6);
+    expect(&p, PACKAGE_LEFT_ALPHAS, 6 + 6);
+    if (p.left[PACKAGE_LEFT_ALPHAS].bytes != 12 * 4)
+        fail("colours", "bytes left out are not those of the opacities");
     if (p.left[PACKAGE_LEFT_COLORS].bytes != 6 * 12)
         fail("colours", "bytes left out are not those of the colours");
     package_release(&p);

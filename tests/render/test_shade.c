@@ -177,6 +177,75 @@ static void vertex_colors_are_interpolated(void **state)
     }
 }
 
+/* Opacity at a hit is that of the corners, weighed, times the material's; a mask cuts it. */
+static void vertex_alphas_are_interpolated(void **state)
+{
+    (void)state;
+    static const double corners[12] = {0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0};
+    static const float alphas[4] = {1, 0, 0.5f, 0.25f};
+    for (int i = 0; i < 8; i++) {
+        struct scene s;
+        struct scene_material *m;
+        struct render_scene *built;
+        scene_init(&s);
+        uint32_t material = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+        m->vertex_colors = i & 1;
+        m->alpha_used = i & 2;
+        m->alpha_cutoff = i & 4 ? 0.3 : -1;
+        m->alpha = 0.8;
+        uint32_t ball = kit_sphere(&s, 9, 0, 0, 1, material);
+        uint32_t quad = kit_quad(&s, corners, material);
+        struct scene_mesh *mesh = &s.meshes[s.objects[quad].mesh];
+        mesh->alphas = mem_alloc_array(4, sizeof *alphas);
+        memcpy(mesh->alphas, alphas, sizeof alphas);
+        struct job_spec spec = kit_spec(8, 1);
+        assert_int_equal(scene_build(&s, &spec, NULL, &built), ERR_OK);
+        for (double b1 = 0; b1 <= 1; b1 += 0.125) {
+            double b2 = (1 - b1) / 4, b0 = 1 - b1 - b2;
+            struct hit hit = {.object = quad, .b1 = b1, .b2 = b2, .ng = {0, 0, 1}};
+            const uint32_t *k = mesh->indices;
+            double of_mesh =
+                b0 * (double)alphas[k[0]] + b1 * (double)alphas[k[1]] + b2 * (double)alphas[k[2]];
+            double opacity = 0.8 * (i & 1 ? of_mesh : 1);
+            opacity = i & 4 ? opacity >= 0.3 : opacity;
+            opacity = i & 2 ? opacity : 1;
+            assert_true(fabs(shade_opacity(built, &hit) - opacity) < 1e-15);
+            hit.object = ball; /* has none */
+            assert_true(shade_opacity(built, &hit) == (i & 2 ? i & 4 ? 1 : 0.8 : 1));
+        }
+        render_scene_free(built);
+        scene_release(&s);
+    }
+}
+
+/* A veil by its corners is that by its material, bit for bit, in light and in shadow. */
+static void veils_are_the_same(void **state)
+{
+    (void)state;
+    static const double veil[12] = {-2, -2, 1.5, 2, -2, 1.5, 2, 2, 1.5, -2, 2, 1.5};
+    struct kit_picture p[2];
+    for (int i = 0; i < 2; i++) {
+        struct scene s;
+        struct scene_material *m;
+        struct job_spec spec = kit_spec(16, 8);
+        bumpy(&s, SCENE_MATERIAL_PRINCIPLED, (const double[]){0.5, 0.5, 1});
+        uint32_t material = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+        m->alpha_used = true;
+        m->vertex_colors = i;
+        m->alpha = i ? 1 : 0.25;
+        uint32_t quad = kit_quad(&s, veil, material);
+        struct scene_mesh *mesh = &s.meshes[s.objects[quad].mesh];
+        mesh->alphas = mem_alloc_array(4, sizeof *mesh->alphas);
+        for (int k = 0; k < 4; k++)
+            mesh->alphas[k] = 0.25f;
+        p[i] = kit_render(&s, &spec, 0);
+        scene_release(&s);
+    }
+    assert_memory_equal(p[0].mean, p[1].mean, 16 * 16 * 3 * sizeof(double));
+    kit_picture_free(&p[0]);
+    kit_picture_free(&p[1]);
+}
+
 /* Heights of a sheet over [0,2] x [0,2], uv = 2 xy by the texture's matrix; world units. */
 static double height_at(double x, double y, double slope[2])
 {
@@ -304,6 +373,8 @@ int main(void)
         cmocka_unit_test(grazing_light_fades),
         cmocka_unit_test(profiles_agree_on_bumps),
         cmocka_unit_test(flat_maps_change_nothing),
+        cmocka_unit_test(vertex_alphas_are_interpolated),
+        cmocka_unit_test(veils_are_the_same),
         cmocka_unit_test(bumps_are_normals_of_heights),
         cmocka_unit_test(bumps_without_direction),
     };

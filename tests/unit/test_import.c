@@ -238,13 +238,15 @@ static void a_sky_lights_what_has_no_light(void **state)
 
 /* --- Colours of vertices ------------------------------------------------- */
 
-/* COLOR_0 in normalised bytes: 51 / 255 is a fifth, linear; the material then reads them. */
+/* COLOR_0 in normalised bytes: 51 / 255 is a fifth, linear, of opacity too; the material then reads
+ * them. */
 static void gltf_colors_multiply(void **state)
 {
     (void)state;
     static const char text[] =
         "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],"
-        "\"nodes\":[{\"mesh\":0}],\"materials\":[{}],\"meshes\":[{\"primitives\":[{"
+        "\"nodes\":[{\"mesh\":0}],\"materials\":[{\"alphaMode\":\"BLEND\"}],\"meshes\":[{"
+        "\"primitives\":[{"
         "\"material\":0,\"attributes\":{\"POSITION\":0,\"COLOR_0\":1}}]}],\"accessors\":["
         "{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\","
         "\"min\":[0,0,0],\"max\":[1,1,0]},"
@@ -253,7 +255,7 @@ static void gltf_colors_multiply(void **state)
         "{\"buffer\":0,\"byteOffset\":0,\"byteLength\":36},"
         "{\"buffer\":0,\"byteOffset\":36,\"byteLength\":12}],"
         "\"buffers\":[{\"byteLength\":48,\"uri\":\"data:application/octet-stream;base64,"
-        "AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA/wAz/wD/AP8AAP//\"}]}";
+        "AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA/wAzMwD/AP8AAP8A\"}]}";
     char folder[] = "/tmp/tilery-import-XXXXXX";
     assert_non_null(mkdtemp(folder));
     char *path = file_join(folder, "a.gltf");
@@ -268,11 +270,15 @@ static void gltf_colors_multiply(void **state)
     const struct scene_object *o = &im.scene.objects[0];
     const float *colors = im.scene.meshes[o->mesh].colors;
     assert_non_null(colors);
+    const float *alphas = im.scene.meshes[o->mesh].alphas;
+    assert_non_null(alphas);
     assert_true(im.scene.materials[o->material].vertex_colors);
+    assert_true(im.scene.materials[o->material].alpha_used);
     bool found = false;
     for (size_t i = 0; i < im.scene.meshes[o->mesh].vertex_count; i++)
         found |= colors[3 * i] == 1 && colors[3 * i + 1] == 0 &&
-                 fabs((double)colors[3 * i + 2] - 0.2) < 1e-6;
+                 fabs((double)colors[3 * i + 2] - 0.2) < 1e-6 &&
+                 fabs((double)alphas[i] - 0.2) < 1e-6;
     assert_true(found);
     finish(&im, &problems);
     assert_int_equal(unlink(path), 0);

@@ -111,6 +111,41 @@ static void obj_colors_are_decoded(void **state)
     unload(&l);
 }
 
+/* Opacity is never encoded; without colours there is none. */
+static void ply_alphas_are_read(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *type, *colors, *rows;
+        double second; /* under 0: none */
+    } cases[] = {
+        {"uchar", "red green blue", "0 0 0 0 0 0 0\n1 0 0 9 9 9 51\n0 1 0 9 9 9 255\n", 0.2},
+        {"float", "red green blue", "0 0 0 0 0 0 0\n1 0 0 1 1 1 .75\n0 1 0 1 1 1 7\n", 0.75},
+        {"uchar", "a b c", "0 0 0 0 0 0 0\n1 0 0 9 9 9 51\n0 1 0 9 9 9 255\n", -1},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct loaded l;
+        char text[500], names[3][8];
+        const char *t = cases[i].type;
+        assert_int_equal(sscanf(cases[i].colors, "%7s %7s %7s", names[0], names[1], names[2]), 3);
+        int n =
+            snprintf(text, sizeof text,
+                     "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+                     "property float z\nproperty %s %s\nproperty %s %s\nproperty %s %s\n"
+                     "property %s alpha\nelement face 1\nproperty list uchar int vertex_indices\n"
+                     "end_header\n%s3 0 1 2\n",
+                     t, names[0], t, names[1], t, names[2], t, cases[i].rows);
+        load_ply(&l, text, (size_t)n);
+        assert_int_equal(l.e, ERR_OK);
+        assert_true((l.mesh.alphas != NULL) == (cases[i].second >= 0));
+        if (l.mesh.alphas) {
+            assert_true(l.mesh.alphas[0] == 0 && l.mesh.alphas[2] == 1);
+            assert_true(fabs((double)l.mesh.alphas[1] - cases[i].second) < 1e-7);
+        }
+        unload(&l);
+    }
+}
+
 static void ply_colors_are_told_by_type(void **state)
 {
     (void)state;
@@ -448,6 +483,7 @@ int main(void)
         cmocka_unit_test(obj_forms_are_read),
         cmocka_unit_test(obj_colors_are_decoded),
         cmocka_unit_test(ply_colors_are_told_by_type),
+        cmocka_unit_test(ply_alphas_are_read),
         cmocka_unit_test(obj_keeps_double_coordinates),
         cmocka_unit_test(obj_problems_have_their_line),
         cmocka_unit_test(obj_survives_small_faults_with_a_warning),

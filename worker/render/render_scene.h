@@ -27,6 +27,7 @@ struct render_mesh {
     const float *normals;    /* 3 per vertex, or NULL */
     const float *uvs;        /* 2 per vertex, or NULL */
     const float *colors;     /* 3 per vertex, linear; NULL: white, or nothing reads them */
+    const float *alphas;     /* 1 per vertex, opacity; NULL: 1, or nothing reads them */
     const uint32_t *indices; /* 3 per triangle */
     uint32_t vertex_count, triangle_count;
 };

@@ -80,6 +80,8 @@ double shade_opacity(const struct render_scene *scene, const struct hit *hit)
         surface_of_hit(scene, hit, &s);
         alpha = texture_alpha(&scene->textures[m->texture], s.u, s.v);
     }
+    if (m->vertex_colors)
+        alpha *= surface_vertex_alpha(scene, hit);
     alpha = clamp01(alpha * m->alpha);
     return m->alpha_cutoff < 0 ? alpha : alpha >= m->alpha_cutoff;
 }

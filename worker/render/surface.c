@@ -180,6 +180,20 @@ void surface_of_hit(const struct render_scene *scene, const struct hit *hit, str
         surface_of_triangle(scene, object, hit, out);
 }
 
+double surface_vertex_alpha(const struct render_scene *scene, const struct hit *hit)
+{
+    const struct render_object *object = &scene->objects[hit->object];
+    const struct render_mesh *mesh =
+        object->type == ACCEL_SPHERE ? NULL : &scene->meshes[object->mesh];
+    if (!mesh || !mesh->alphas)
+        return 1;
+    struct triangle t = triangle_of(mesh, hit);
+    double alpha = 0;
+    for (int k = 0; k < 3; k++)
+        alpha += (double)mesh->alphas[t.index[k]] * t.b[k];
+    return alpha;
+}
+
 static bool triangle_tangents(const struct render_scene *scene, const struct render_object *object,
                               const struct hit *hit, vec3 *dpdu, vec3 *dpdv)
 {

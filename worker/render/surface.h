@@ -25,6 +25,9 @@ struct surface {
 /* What `hit` of a ray in scene space hit. */
 void surface_of_hit(const struct render_scene *scene, const struct hit *hit, struct surface *out);
 
+/* How opaque the vertices of the mesh make a hit; 1 where they say nothing. */
+double surface_vertex_alpha(const struct render_scene *scene, const struct hit *hit);
+
 /* How the place changes with u and v at a hit. False where there are no such coordinates, or where
  * they fold. */
 bool surface_tangents(const struct render_scene *scene, const struct hit *hit, vec3 *dpdu,

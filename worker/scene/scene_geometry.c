@@ -89,8 +89,9 @@ struct mesh_use {
     bool emits;
     bool strays;       /* has vertices that no triangle has: they have no extent */
     bool reads_colors; /* some object's material does */
-    const float *uvs;  /* the arena's copies, once made */
-    const float *colors;
+    bool reads_alphas;
+    const float *uvs; /* the arena's copies, once made */
+    const float *colors, *alphas;
     uint32_t instanced;      /* its render mesh in mesh space, once made; else SCENE_NONE */
     double center[3], scale; /* of that space */
 };
@@ -220,6 +221,7 @@ static enum err place_mesh(struct render_scene *rs, const struct scene_mesh *m,
     out->triangle_count = m->triangle_count;
     out->uvs = use->uvs;
     out->colors = use->colors;
+    out->alphas = use->alphas;
     out->positions = place_positions(rs, m, at);
     if (m->normals)
         out->normals = place_normals(rs, m, at);
@@ -251,6 +253,18 @@ static const float *shared_colors(struct render_scene *rs, const struct scene_me
         use->colors = copy;
     }
     return use->colors;
+}
+
+static const float *shared_alphas(struct render_scene *rs, const struct scene_mesh *m,
+                                  struct mesh_use *use)
+{
+    if (!use->alphas) {
+        float *copy = arena_alloc(&rs->arena, m->vertex_count, sizeof *copy);
+        if (copy)
+            memcpy(copy, m->alphas, m->vertex_count * sizeof *copy);
+        use->alphas = copy;
+    }
+    return use->alphas;
 }
 
 /* Instances need an orientation-keeping transform that can be inverted with some accuracy. */
@@ -344,6 +358,8 @@ static enum err build_object(struct render_scene *rs, const struct scene *scene,
         return ERR_NOMEM;
     if (m->colors && use->reads_colors && !shared_colors(rs, m, use))
         return ERR_NOMEM;
+    if (m->alphas && use->reads_alphas && !shared_alphas(rs, m, use))
+        return ERR_NOMEM;
     if (wants_instance(o, m, use))
         return build_instance(rs, scene, o, use, out);
     struct placement at = {.scale = rs->scale};
@@ -378,8 +394,11 @@ static enum err find_uses(const struct scene *scene, struct mesh_use *uses)
         if (uses[o->mesh].uses++ == 0)
             TL_TRY(find_strays(&scene->meshes[o->mesh], &uses[o->mesh]));
         uses[o->mesh].emits |= object_emits(scene, o);
-        uses[o->mesh].reads_colors |=
-            o->material != SCENE_NONE && scene->materials[o->material].vertex_colors;
+        if (o->material == SCENE_NONE)
+            continue;
+        const struct scene_material *m = &scene->materials[o->material];
+        uses[o->mesh].reads_colors |= m->vertex_colors;
+        uses[o->mesh].reads_alphas |= m->vertex_colors && m->alpha_used;
     }
     return ERR_OK;
 }

@@ -134,6 +134,13 @@ static void make_materials(struct render_scene *rs, const struct scene *scene)
                                                              .is_delta = true};
 }
 
+static bool reads_alphas(const struct scene *scene, const struct scene_object *o)
+{
+    const struct scene_material *m = &scene->materials[o->material];
+    return o->type == SCENE_OBJECT_MESH && m->vertex_colors && m->alpha_used &&
+           scene->meshes[o->mesh].alphas;
+}
+
 enum err scene_build_materials(struct render_scene *rs, const struct scene *scene)
 {
     struct texture_image *images;
@@ -151,6 +158,7 @@ enum err scene_build_materials(struct render_scene *rs, const struct scene *scen
         uint32_t material = scene->objects[i].material;
         if (material == SCENE_NONE || scene_object_is_nothing(scene, &scene->objects[i]))
             continue;
+        rs->materials[material].has_alpha |= reads_alphas(scene, &scene->objects[i]);
         rs->has_alpha |= rs->materials[material].has_alpha;
         rs->has_filtered |= rs->materials[material].filtered;
     }
