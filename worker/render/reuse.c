@@ -30,10 +30,12 @@ void reuse_leave(struct render_scratch *w, uint32_t index, const struct shade *x
     r->depth = depth;
     r->x = *x;
     r->beta_x = w->paths[index].beta;
+    r->landed = false;
 }
 
 void reuse_land(struct render_scratch *w, uint32_t index)
 {
+    w->reuse[index].landed = true;
     w->reuse[index].direct = w->paths[index].radiance;
 }
 
@@ -133,7 +135,8 @@ static void keep_small(struct render_scratch *w, uint32_t begin, uint32_t end)
         const struct reuse *r = &w->reuse[i];
         if (r->state == REUSE_NONE)
             continue;
-        direct += rgb_luminance(r->direct);
+        /* A path that ended at its x has nothing else. */
+        direct += rgb_luminance(r->landed ? r->direct : w->paths[i].radiance);
         reflected += rgb_luminance(rgb_mul(r->beta_x, r->x.bsdf.color));
     }
     for (uint32_t i = begin; i < end; i++) {

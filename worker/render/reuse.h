@@ -32,8 +32,9 @@ struct reuse {
     enum reuse_state state;
     uint32_t depth; /* edges up to x */
     struct shade x;
-    rgb beta_x; /* throughput up to x */
-    rgb direct; /* what the path had gathered when the ray from x arrived */
+    rgb beta_x;  /* throughput up to x */
+    bool landed; /* the ray from x arrived somewhere, or nowhere */
+    rgb direct;  /* then: what the path had gathered when the ray from x arrived */
     /* The rest from REUSE_FOUND on. */
     rgb beta;       /* throughput up to y */
     rgb radiance;   /* what the path had gathered before y */
