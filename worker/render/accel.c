@@ -103,30 +103,58 @@ static void lopsided_widen(const struct accel_object *objects, struct bvh_ref *r
     }
 }
 
-/* What the answers depend on, the box of all references and its reach: the same with any
- * builder. And the largest extent of a triangle. */
-static void tree_measure(const struct bvh_ref *refs, size_t count, struct bvh *out, float *edge)
+enum { REFS_PER_TASK = 65536, MEASURE_PARTS = 16 };
+
+/* Of a sixteenth of many references, or of all of few. */
+struct measuring {
+    const struct bvh_ref *refs;
+    size_t count;
+    struct measured {
+        float low[4], high[4], extent[4];
+    } parts[MEASURE_PARTS];
+};
+
+static void measure_part(void *arg, size_t index)
 {
-    __m128 low = _mm_set1_ps(count ? __FLT_MAX__ : 0.0f), high = _mm_sub_ps(_mm_setzero_ps(), low);
-    __m128 most = _mm_setzero_ps();
-    for (size_t i = 0; i < count; i++) {
-        __m128 lo = _mm_load_ps(refs[i].lo), hi = _mm_load_ps(refs[i].hi);
+    struct measuring *m = arg;
+    size_t parts = m->count < REFS_PER_TASK ? 1 : MEASURE_PARTS;
+    size_t begin = m->count * index / parts, end = m->count * (index + 1) / parts;
+    __m128 low = _mm_set1_ps(begin < end ? __FLT_MAX__ : 0.0f);
+    __m128 high = _mm_sub_ps(_mm_setzero_ps(), low), most = _mm_setzero_ps();
+    for (size_t i = begin; i < end; i++) {
+        __m128 lo = _mm_load_ps(m->refs[i].lo), hi = _mm_load_ps(m->refs[i].hi);
         low = _mm_min_ps(lo, low);
         high = _mm_max_ps(hi, high);
-        if (!(refs[i].primitive & BVH_REF_OBJECT))
+        if (!(m->refs[i].primitive & BVH_REF_OBJECT))
             most = _mm_max_ps(_mm_sub_ps(hi, lo), most);
     }
-    float lows[4], highs[4], extents[4];
-    _mm_storeu_ps(lows, low);
-    _mm_storeu_ps(highs, high);
-    _mm_storeu_ps(extents, most);
+    _mm_storeu_ps(m->parts[index].low, low);
+    _mm_storeu_ps(m->parts[index].high, high);
+    _mm_storeu_ps(m->parts[index].extent, most);
+}
+
+/* What the answers depend on, the box of all references and its reach: the same with any
+ * builder. And the largest extent of a triangle. */
+static void tree_measure(const struct bvh_ref *refs, size_t count,
+                         const struct accel_runner *runner, struct bvh *out, float *edge)
+{
+    struct measuring m = {.refs = refs, .count = count};
+    bvh_run(runner, count < REFS_PER_TASK ? 1 : MEASURE_PARTS, measure_part, &m);
+    struct measured *all = &m.parts[0];
+    for (size_t i = 1; i < MEASURE_PARTS && count >= REFS_PER_TASK; i++)
+        for (int k = 0; k < 4; k++) {
+            all->low[k] = m.parts[i].low[k] < all->low[k] ? m.parts[i].low[k] : all->low[k];
+            all->high[k] = m.parts[i].high[k] > all->high[k] ? m.parts[i].high[k] : all->high[k];
+            all->extent[k] =
+                m.parts[i].extent[k] > all->extent[k] ? m.parts[i].extent[k] : all->extent[k];
+        }
     *edge = 0.0f;
     for (int k = 0; k < 3; k++) {
-        out->lo[k] = lows[k];
-        out->hi[k] = highs[k];
+        out->lo[k] = all->low[k];
+        out->hi[k] = all->high[k];
         out->reach =
-            exact_max(out->reach, exact_max(fabs((double)lows[k]), fabs((double)highs[k])));
-        *edge = extents[k] > *edge ? extents[k] : *edge;
+            exact_max(out->reach, exact_max(fabs((double)all->low[k]), fabs((double)all->high[k])));
+        *edge = all->extent[k] > *edge ? all->extent[k] : *edge;
     }
 }
 
@@ -164,8 +192,6 @@ static void mesh_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
     const struct accel *a = ctx;
     triangle_vertices(&a->meshes[ref->owner], ref->primitive, out);
 }
-
-enum { REFS_PER_TASK = 65536 };
 
 /* References to the triangles of one mesh, made on all threads. */
 struct refs_job {
@@ -206,7 +232,7 @@ static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
                           .runner = runner,
                           .place = out == &a->scene_tree && a->lazy ? &a->lazy->place : NULL};
     enum err err = ERR_OK;
-    tree_measure(refs, count, &box, &how.edge);
+    tree_measure(refs, count, runner, &box, &how.edge);
     if (how.place && how.place->edge > how.edge)
         how.edge = how.place->edge;
     lopsided_widen(a->objects, refs, count);

@@ -123,6 +123,7 @@ struct bvh2 {
     struct bvh2_node *nodes;
     struct bvh2_run {
         uint32_t begin, end;
+        double area; /* half areas of its nodes, once they are chosen from */
     } * runs;
     size_t run_count, node_limit;
     struct bvh_ref *refs; /* reordered */

@@ -302,7 +302,7 @@ static enum err build_top(const struct bvh_builder *b, uint32_t count, struct ta
         bvh_push_halves(stack, &top, &r, middle, in_spare, node, half);
     }
     mem_free(chunks);
-    b->out->runs[0] = (struct bvh2_run){0, next};
+    b->out->runs[0] = (struct bvh2_run){0, next, 0.0};
     return err;
 }
 

@@ -10,11 +10,15 @@
 /* Cost of a box test of eight children, and of a block of triangles, per unit of area. */
 static const float NODE_COST = 1.0f, LEAF_COST = 1.0f;
 
-/* Of a binary node: the least cost of its subtree when it may take up 1..8 child slots,
- * and how D(i), i slots shared by both children, is shared. */
-struct choice {
+/* Of a binary node: the least cost of its subtree when it may take up 1..8 child slots. */
+struct costs {
     float cost[BVH_WIDTH];
-    uint8_t left[BVH_WIDTH]; /* slots of the left child when both share i + 1; 0: as with fewer */
+};
+
+/* And how slots are shared by its children: those of the left one when both have i + 1; 0: as with
+ * fewer. */
+struct choice {
+    uint8_t left[BVH_WIDTH];
 };
 
 /* A wide node to be written. */
@@ -40,7 +44,7 @@ static inline void lanes_offer(__m128 cost, int slots, __m128 *least, __m128i *b
 
 /* The least cost when two children share 2..8 slots, and how many the left one gets then: all
  * shares at once, one number of slots for the left one after the other. */
-static void share(const struct choice *left, const struct choice *right, float shared[BVH_WIDTH],
+static void share(const struct costs *left, const struct costs *right, float shared[BVH_WIDTH],
                   uint32_t best[BVH_WIDTH])
 {
     const __m128 none = _mm_setr_ps(__builtin_inff(), 0.0f, 0.0f, 0.0f);
@@ -61,18 +65,19 @@ static void share(const struct choice *left, const struct choice *right, float s
     }
 }
 
-static void choose(const struct bvh2_node *node, const struct choice *left,
-                   const struct choice *right, struct choice *out)
+/* `out` may be one of the children's. */
+static void choose(float area, const struct costs *left, const struct costs *right,
+                   struct costs *out, struct choice *choice)
 {
     float shared[BVH_WIDTH];
     uint32_t best[BVH_WIDTH];
     share(left, right, shared, best);
-    out->cost[0] = half_area(node) * NODE_COST + shared[BVH_WIDTH - 1];
-    out->left[0] = (uint8_t)best[BVH_WIDTH - 1];
+    out->cost[0] = area * NODE_COST + shared[BVH_WIDTH - 1];
+    choice->left[0] = (uint8_t)best[BVH_WIDTH - 1];
     for (int i = 1; i < BVH_WIDTH; i++) {
         bool better = shared[i] < out->cost[i - 1];
         out->cost[i] = better ? shared[i] : out->cost[i - 1];
-        out->left[i] = (uint8_t)(better ? best[i] : 0);
+        choice->left[i] = (uint8_t)(better ? best[i] : 0);
     }
 }
 
@@ -84,28 +89,50 @@ static bool is_leaf(const struct bvh2_node *n)
 struct choosing {
     const struct bvh2 *tree;
     struct choice *choices;
+    struct costs *costs; /* of the top's nodes and of the roots of the other runs */
 };
 
-/* Children come after their parent within a run, so going backwards meets them first. */
-static void choose_run(void *arg, size_t index)
+static void leaf_costs(float area, struct costs *out)
+{
+    for (int k = 0; k < BVH_WIDTH; k++)
+        out->cost[k] = area * LEAF_COST;
+}
+
+/* A run is in preorder, so from its end on a node meets its children's costs on top of a stack, the
+ * left one's last. */
+static void choose_task(void *arg, size_t index)
 {
     struct choosing *c = arg;
     const struct bvh2_node *nodes = c->tree->nodes;
-    for (uint32_t i = c->tree->runs[index].end; i-- > c->tree->runs[index].begin;) {
+    struct bvh2_run *run = &c->tree->runs[index + 1];
+    struct costs stack[BVH_DEPTH_MAX + 2];
+    int top = 0;
+    run->area = 0.0;
+    for (uint32_t i = run->end; i-- > run->begin;) {
+        float area = half_area(&nodes[i]);
+        run->area += (double)area;
         if (is_leaf(&nodes[i])) {
-            float cost = half_area(&nodes[i]) * LEAF_COST;
-            for (int k = 0; k < BVH_WIDTH; k++)
-                c->choices[i].cost[k] = cost;
+            leaf_costs(area, &stack[top++]);
         } else {
-            choose(&nodes[i], &c->choices[nodes[i].left], &c->choices[nodes[i].right],
-                   &c->choices[i]);
+            top--;
+            choose(area, &stack[top], &stack[top - 1], &stack[top - 1], &c->choices[i]);
         }
     }
+    c->costs[run->begin] = stack[0];
 }
 
-static void choose_task(void *arg, size_t index)
+/* The top's children may be roots of other runs; children come after their parents here too. */
+static void choose_top(struct choosing *c)
 {
-    choose_run(arg, index + 1);
+    const struct bvh2_node *nodes = c->tree->nodes;
+    struct bvh2_run *run = &c->tree->runs[0];
+    run->area = 0.0;
+    for (uint32_t i = run->end; i-- > run->begin;) {
+        float area = half_area(&nodes[i]);
+        run->area += (double)area;
+        choose(area, &c->costs[nodes[i].left], &c->costs[nodes[i].right], &c->costs[i],
+               &c->choices[i]);
+    }
 }
 
 /* Lists the binary nodes that fill the slots of the wide node made of `root`. */
@@ -338,8 +365,7 @@ static double binary_cost(const struct bvh2 *tree)
 {
     double sum = 0.0, root = (double)half_area(&tree->nodes[0]);
     for (size_t run = 0; run < tree->run_count; run++)
-        for (uint32_t i = tree->runs[run].begin; i < tree->runs[run].end; i++)
-            sum += (double)half_area(&tree->nodes[i]);
+        sum += tree->runs[run].area;
     return root > 0.0 ? sum / root : 0.0;
 }
 
@@ -396,15 +422,17 @@ static enum err wide_build(const struct bvh2 *tree, const struct bvh_how *how,
                            const struct bvh_source *source, struct bvh *out)
 {
     enum err err = ERR_NOMEM;
-    struct choosing choosing = {tree, NULL};
+    struct choosing choosing = {tree, NULL, NULL};
     struct planner p = {.nodes = tree->nodes, .refs = tree->refs};
     p.leaf_bytes = how->compact ? sizeof(struct bvh_packed) : sizeof(struct bvh_leaf);
     out->compact = how->compact;
+    /* Only partly used. */
     choosing.choices = mem_alloc_aligned(tree->node_limit * sizeof *choosing.choices, 64);
-    if (!choosing.choices)
+    choosing.costs = mem_alloc_aligned(tree->node_limit * sizeof *choosing.costs, 64);
+    if (!choosing.choices || !choosing.costs)
         goto done;
     bvh_run(how->runner, tree->run_count - 1, choose_task, &choosing);
-    choose_run(&choosing, 0);
+    choose_top(&choosing);
     p.choices = choosing.choices;
     err = plan_all(&p);
     if (!err)
@@ -417,6 +445,7 @@ static enum err wide_build(const struct bvh2 *tree, const struct bvh_how *how,
     measure(&p, out);
     out->sah_binary = binary_cost(tree);
 done:
+    mem_free(choosing.costs);
     mem_free(choosing.choices);
     mem_free(p.plans);
     return err;
