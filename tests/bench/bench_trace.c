@@ -357,13 +357,17 @@ static void print_tree(struct bench *b, const char *scene, const struct trace_sc
     double theirs = (double)trace_peer_bytes(b->peers[threads - 1][0]) / triangles;
     double sah = trace_peer_sah(b->peers[threads - 1][0], s);
     printf("%-10s tree    %d  %.1f bytes/triangle, compact %.1f, theirs %.1f; SAH %.2f wide, %.2f "
-           "binary, theirs %.2f; depth %llu, %llu nodes, %llu leaves, %s\n",
-           scene, threads, bytes, less, theirs, stats.sah_cost, stats.sah_binary, sah,
-           (unsigned long long)stats.depth_max, (unsigned long long)stats.node_count,
-           (unsigned long long)stats.leaf_count, accel_isa_name(a));
+           "binary",
+           scene, threads, bytes, less, theirs, stats.sah_cost, stats.sah_binary);
+    if (sah > 0.0)
+        printf(", theirs %.2f", sah);
+    printf("; depth %llu, %llu nodes, %llu leaves, %s\n", (unsigned long long)stats.depth_max,
+           (unsigned long long)stats.node_count, (unsigned long long)stats.leaf_count,
+           accel_isa_name(a));
     print_figure(b, scene, "bytes", threads, "bytes/triangle", bytes, theirs);
     print_figure(b, scene, "bytes-compact", threads, "bytes/triangle", less, theirs);
-    print_figure(b, scene, "sah", threads, "half areas of the root", stats.sah_binary, sah);
+    if (sah > 0.0)
+        print_figure(b, scene, "sah", threads, "half areas of the root", stats.sah_binary, sah);
 }
 
 /* Builds both sides in turn and leaves the peers with every variant that is traced. */
@@ -387,6 +391,25 @@ static struct accel *time_build(struct bench *b, const char *scene, const struct
     return a;
 }
 
+/* Ours in the other way that options ask for. */
+static void build_other(struct bench *b, const struct trace_scene *s, int threads)
+{
+    const struct accel_options other = {.isa = b->options.isa,
+                                        .precision = b->options.fast ? JOB_PRECISION_FAST
+                                                                     : JOB_PRECISION_EXACT,
+                                        .compact = b->options.compact};
+    double seconds;
+    if (b->options.fast || b->options.compact)
+        b->other = build_ours(s, &other, threads, &seconds);
+}
+
+static void free_both(struct bench *b, struct accel *a)
+{
+    accel_free(a);
+    accel_free(b->other);
+    b->other = NULL;
+}
+
 /* --- Cases ------------------------------------------------------------------ */
 
 static void bench_scene(struct bench *b, enum trace_scene_id id)
@@ -397,13 +420,7 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
     int threads_max = b->options.quick ? 1 : THREADS_MAX;
     for (int threads = 1; threads <= threads_max; threads++) {
         struct accel *a = time_build(b, trace_scene_names[id], &s, threads);
-        const struct accel_options other = {.isa = b->options.isa,
-                                            .precision = b->options.fast ? JOB_PRECISION_FAST
-                                                                         : JOB_PRECISION_EXACT,
-                                            .compact = b->options.compact};
-        double seconds;
-        if (b->options.fast || b->options.compact)
-            b->other = build_ours(&s, &other, threads, &seconds);
+        build_other(b, &s, threads);
         for (int kind = 0; kind < TRACE_RAYS_COUNT; kind++) {
             struct trace_rays rays;
             if (trace_rays_make(&rays, a, id, (enum trace_rays_id)kind, b->options.side) != ERR_OK)
@@ -412,9 +429,7 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
                       kind == TRACE_SHADOW, threads);
             trace_rays_release(&rays);
         }
-        accel_free(a);
-        accel_free(b->other);
-        b->other = NULL;
+        free_both(b, a);
     }
     trace_scene_release(&s);
 }
@@ -516,9 +531,10 @@ static void bench_files(struct bench *b)
     trace_scene_wrap(&s, &mesh);
     for (int threads = 1; threads <= (b->options.quick ? 1 : THREADS_MAX); threads++) {
         struct accel *a = time_build(b, "mesh", &s, threads);
+        build_other(b, &s, threads);
         time_rays(b, "mesh", b->options.shadow ? "shadow" : "closest", a, &rays, b->options.shadow,
                   threads);
-        accel_free(a);
+        free_both(b, a);
     }
     trace_rays_release(&rays);
     trace_scene_release(&s);
