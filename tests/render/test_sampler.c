@@ -224,7 +224,7 @@ static void many_samplers(enum job_sampler type, bool far, struct sampler s[MANY
     for (uint32_t i = 0; i < MANY; i++) {
         uint64_t index = i < 50 ? i : (uint64_t)i * 655;
         if (far && i % 7 == 6)
-            index = i % 2 ? UINT64_C(0xfffffffb0) + i : 65500 + i;
+            index = i % 2 ? UINT64_C(0xfffffffb0) + i : 65536 + i;
         s[i] = sampler_of(type, 3, i / 4, 11, i & 1, index);
     }
 }
