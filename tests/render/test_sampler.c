@@ -259,6 +259,31 @@ static void sets_of_many(void **state)
     }
 }
 
+/* The Halton kernels; `seed` varies the keys. */
+static void assert_halton_kernels(const struct sampler near[], const struct sampler far[],
+                                  uint32_t dimension, uint32_t base, uint64_t seed)
+{
+    struct sampler s[MANY];
+    double u[SAMPLER_SET_VALUES];
+    for (uint32_t i = 0; i < MANY; i++)
+        s[i] = (struct sampler){sampler_mix(near[i].key + seed), near[i].index, JOB_SAMPLER_HALTON};
+    for (int wide = 0; wide < 2; wide++) {
+        double out[MANY];
+        if (wide ? !sampler_has_avx512() : !sampler_has_avx2())
+            continue;
+        assert_int_equal(wide ? sampler_halton_avx512(s, MANY, dimension, base, out)
+                              : sampler_halton_avx2(s, MANY, dimension, base, out),
+                         96);
+        for (uint32_t i = 0; i < 96; i++) {
+            sampler_set(&s[i], dimension / SAMPLER_SET_VALUES, u);
+            assert_memory_equal(&out[i], &u[dimension % SAMPLER_SET_VALUES], sizeof *u);
+        }
+        assert_int_equal(wide ? sampler_halton_avx512(far, MANY, dimension, base, out)
+                              : sampler_halton_avx2(far, MANY, dimension, base, out),
+                         0);
+    }
+}
+
 /* Every kernel that runs here does all whole vectors of near samples, and stops before a far one.
  */
 static void kernels_give_the_same_bits(void **state)
@@ -270,6 +295,9 @@ static void kernels_give_the_same_bits(void **state)
     many_samplers(JOB_SAMPLER_SOBOL, false, near);
     many_samplers(JOB_SAMPLER_SOBOL, true, far);
     for (uint32_t set = 0; set < 40; set++) {
+        static const uint32_t bases[4] = {2, 3, 13, 1619};
+        static const uint32_t dimensions[4] = {0, 1, 5, 255};
+        assert_halton_kernels(near, far, dimensions[set % 4], bases[set % 4], set);
         if (sampler_has_avx2()) {
             assert_int_equal(sampler_sobol_avx2(near, MANY, set, out), 96);
             assert_same_sets(near, 96, set, 4, u);

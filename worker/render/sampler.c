@@ -199,16 +199,29 @@ void sampler_set(const struct sampler *s, uint32_t set, double u[SAMPLER_SET_VAL
         sampler_some(s, set, SAMPLER_SET_VALUES, u);
 }
 
+/* Halton values of the first samples, as many as are done in vectors. */
+static uint32_t halton_many(const struct sampler s[], uint32_t count, uint32_t set, uint32_t values,
+                            double *const u[])
+{
+    uint32_t done = 0;
+    for (uint32_t k = 0; k < values; k++) {
+        uint32_t dimension = set * SAMPLER_SET_VALUES + k, base = primes[dimension];
+        done = sampler_has_avx512() ? sampler_halton_avx512(s, count, dimension, base, u[k])
+                                    : sampler_halton_avx2(s, count, dimension, base, u[k]);
+    }
+    return done;
+}
+
 void sampler_sets(const struct sampler s[], uint32_t count, uint32_t set, uint32_t values,
                   double *const u[SAMPLER_SET_VALUES])
 {
     uint32_t done = 0;
-    if (count > 0 && s[0].type == JOB_SAMPLER_SOBOL) {
-        if (sampler_has_avx512())
-            done = sampler_sobol_avx512(s, count, set, u);
-        else if (sampler_has_avx2())
-            done = sampler_sobol_avx2(s, count, set, u);
-    }
+    if (count > 0 && sampler_has_avx2() && s[0].type == JOB_SAMPLER_SOBOL)
+        done = sampler_has_avx512() ? sampler_sobol_avx512(s, count, set, u)
+                                    : sampler_sobol_avx2(s, count, set, u);
+    else if (count > 0 && sampler_has_avx2() && s[0].type == JOB_SAMPLER_HALTON &&
+             set < SAMPLER_HALTON_DIMENSIONS / SAMPLER_SET_VALUES)
+        done = halton_many(s, count, set, values, u);
     for (uint32_t i = done; i < count; i++) {
         double one[SAMPLER_SET_VALUES];
         sampler_some(&s[i], set, values, one);
