@@ -2,6 +2,8 @@ set(lint ${PROJECT_SOURCE_DIR}/tests/lint)
 tilery_script_test(lint_layers LABEL lint COMMAND ${lint}/layers.py ${PROJECT_SOURCE_DIR})
 tilery_script_test(lint_tidy LABEL lint COMMAND ${lint}/tidy.py ${PROJECT_SOURCE_DIR})
 tilery_script_test(lint_words LABEL lint COMMAND ${lint}/words.sh ${PROJECT_SOURCE_DIR})
+tilery_script_test(lint_tests_exist LABEL lint
+  COMMAND ${lint}/tests_exist.py ${PROJECT_SOURCE_DIR} ${PROJECT_BINARY_DIR})
 tilery_script_test(lint_format LABEL lint COMMAND ${lint}/format.sh)
 
 # The pure rooms need no symbol of sockets, files, threads, clocks, environment or libm; the

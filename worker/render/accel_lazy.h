@@ -12,7 +12,7 @@
  * grows, so that the caller can throw away what it has rendered.
  *
  * Thread: choosing uses the runner; building, any number of render threads, each object
- * under its lock. Tests: test_accel_lazy, test_lazy.
+ * under its lock. Tests: test_accel_lazy.
  */
 #ifndef WORKER_RENDER_ACCEL_LAZY_H
 #define WORKER_RENDER_ACCEL_LAZY_H
