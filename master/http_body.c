@@ -47,9 +47,13 @@ static void read_frame(struct json_get *g, struct http_job_body *out)
         json_get_problem(g, DIAG_ERROR, shot, "bad-frame", NULL, "a shot needs a \"frame\"");
 }
 
+const char *const http_job_keys[HTTP_JOB_KEYS] = {"name", "package", "spec", "priority",
+                                                  "shot", "frame",   "plan"};
+
 enum err http_body_job(struct json_get *g, struct http_job_body *out)
 {
     const char *name = "", *package = NULL;
+    const struct json *plan = json_get_member(g->root, "plan");
     double priority = 0;
     *out = (struct http_job_body){0};
     (void)json_get_text(g, g->root, "name", &name);
@@ -62,7 +66,16 @@ enum err http_body_job(struct json_get *g, struct http_job_body *out)
                          "\"%.80s\" is not 64 hexadecimal digits", package);
     read_frame(g, out);
     TL_TRY(read_spec(g, &out->spec));
+    if (plan && sample_plan_read(g, plan, &out->plan) == ERR_NOMEM)
+        return ERR_NOMEM;
+    out->has_plan = plan != NULL;
     return g->problems->error_count == 0 ? ERR_OK : ERR_INPUT;
+}
+
+void http_body_job_release(struct http_job_body *body)
+{
+    sample_plan_release(&body->plan);
+    *body = (struct http_job_body){0};
 }
 
 enum err http_body_change(struct json_get *g, struct http_change_body *out)

@@ -10,6 +10,7 @@
 #include "common/digest.h"
 #include "common/job_spec.h"
 #include "common/json_get.h"
+#include "common/sample_plan.h"
 #include "master/job_record.h"
 
 /* Opens a body as a JSON object with only these keys. ERR_INPUT with problems, ERR_NOMEM; then `g`
@@ -18,7 +19,9 @@ TL_NODISCARD enum err http_body_open(struct json_get *g, const void *data, size_
                                      const char *const *keys, size_t key_count,
                                      struct diag_list *problems);
 
-/* POST /api/v1/jobs. */
+/* POST /api/v1/jobs: the members that a body may have, and what they say. */
+enum { HTTP_JOB_KEYS = 7 };
+extern const char *const http_job_keys[HTTP_JOB_KEYS];
 struct http_job_body {
     char name[JOB_NAME_BYTES];
     struct job_spec spec;
@@ -26,9 +29,13 @@ struct http_job_body {
     int32_t priority;
     bool is_frame;
     uint64_t shot, frame; /* of a frame; shot 0: it begins one */
+    bool has_plan;
+    struct sample_plan plan; /* owned */
 };
-/* Each of these: ERR_INPUT with problems, ERR_NOMEM; `out` then holds nothing of use. */
+/* Each of these: ERR_INPUT with problems, ERR_NOMEM; `out` then holds nothing of use. Release a job
+ * in any case. */
 TL_NODISCARD enum err http_body_job(struct json_get *g, struct http_job_body *out);
+void http_body_job_release(struct http_job_body *body);
 
 /* PATCH /api/v1/jobs/{id}: one of the two. */
 struct http_change_body {

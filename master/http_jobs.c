@@ -328,8 +328,6 @@ struct submission {
     struct http_job_body asked;
     char key[128];
     bool has_key;
-    struct sample_plan plan;
-    bool has_plan;
     digest body;
     uint64_t job;
 };
@@ -337,7 +335,7 @@ struct submission {
 static void submission_free(struct submission *s)
 {
     if (s)
-        sample_plan_release(&s->plan);
+        http_body_job_release(&s->asked);
     mem_free(s);
 }
 
@@ -389,7 +387,7 @@ static bool make_job(struct request *r, struct submission *s)
                                 .is_frame = s->asked.is_frame,
                                 .shot = s->asked.shot,
                                 .frame = s->asked.frame,
-                                .plan = s->has_plan ? &s->plan : NULL,
+                                .plan = s->asked.has_plan ? &s->asked.plan : NULL,
                                 .key = s->has_key ? s->key : NULL,
                                 .body = s->body};
     struct job *job = NULL;
@@ -439,10 +437,6 @@ static void package_checked(void *ctx, enum err e, struct buf *missing)
 static enum err read_submission(struct request *r, struct json_get *g, struct submission *s)
 {
     enum err e = http_body_job(g, &s->asked);
-    const struct json *plan = json_get_member(g->root, "plan");
-    s->has_plan = plan != NULL;
-    if (plan && sample_plan_read(g, plan, &s->plan) == ERR_NOMEM)
-        e = ERR_NOMEM;
     const char *key = request_head(r, "Idempotency-Key");
     if (key && (strlen(key) == 0 || strlen(key) >= sizeof s->key))
         json_get_problem(g, DIAG_ERROR, g->root, "bad-key", NULL,
@@ -471,11 +465,9 @@ static bool answer_by_key(struct request *r, const struct submission *s)
 
 void http_post_jobs(struct request *r)
 {
-    static const char *const keys[] = {"name", "package", "spec", "priority",
-                                       "shot", "frame",   "plan"};
     struct json_get g;
     struct diag_list problems;
-    if (!request_json(r, &g, &problems, keys, sizeof keys / sizeof *keys))
+    if (!request_json(r, &g, &problems, http_job_keys, HTTP_JOB_KEYS))
         return;
     struct submission *s = mem_calloc(1, sizeof *s);
     enum err e = s ? read_submission(r, &g, s) : ERR_NOMEM;

@@ -14,7 +14,11 @@ static void fuzz_job(struct json_get *g)
         TL_ASSERT(job_spec_valid(&body.spec, NULL));
         TL_ASSERT(memchr(body.name, '\0', sizeof body.name));
         TL_ASSERT(body.priority >= -1000000 && body.priority <= 1000000);
+        TL_ASSERT(body.shot == 0 || body.is_frame);
+        TL_ASSERT(body.frame <= UINT32_MAX && (body.is_frame || body.frame == 0));
+        TL_ASSERT(!body.has_plan || (body.plan.columns > 0 && body.plan.rows > 0));
     }
+    http_body_job_release(&body);
 }
 
 static void fuzz_change(struct json_get *g)
@@ -35,15 +39,15 @@ static void fuzz_digests(struct json_get *g)
 
 static void fuzz_body(unsigned which, const uint8_t *data, size_t bytes)
 {
-    static const char *const job_keys[] = {"name", "package", "spec", "priority", "shot", "frame"};
     static const char *const change_keys[] = {"state", "priority"};
     static const char *const digest_keys[] = {"sha256"};
     static const struct {
         const char *const *keys;
         size_t count;
         void (*run)(struct json_get *g);
-    } bodies[] = {
-        {job_keys, 4, fuzz_job}, {change_keys, 2, fuzz_change}, {digest_keys, 1, fuzz_digests}};
+    } bodies[] = {{http_job_keys, HTTP_JOB_KEYS, fuzz_job},
+                  {change_keys, 2, fuzz_change},
+                  {digest_keys, 1, fuzz_digests}};
     struct json_get g;
     struct diag_list problems;
     diag_init(&problems);
