@@ -171,6 +171,36 @@ def test_chunk_that_is_no_package(call, job):
     ({"spec": {"spp": -1}}, "$.spp"),
     ({"spec": {"colour": 1}}, "$.colour"),
     ({"spec": {"integrator": "magic"}}, "$.integrator"),
+    ({"spec": {"aov": "depth,depht"}}, "$.aov"),
+    ({"spec": {"aov": "depth,depth"}}, "$.aov"),
+    ({"spec": {"aov": "depth," * 2000}}, "$.aov"),
+    ({"spec": {"aov": ["depth"]}}, "$.aov"),
+    ({"spec": {"aov": ""}}, "$.aov"),
+    ({"spec": {"verify": 1.5}}, "$.verify"),
+    ({"spec": {"verify": "5%"}}, "$.verify"),
+    ({"spec": {"precision": "fast and loose"}}, "$.precision"),
+    ({"spec": {"stop": "never"}}, "$.stop"),
+    ({"spec": {"stop": "error", "target_error": -1}}, "$.target_error"),
+    ({"spec": {"stop": "time", "time_limit": 1e300}}, "$.time_limit"),
+    ({"spec": {"crop": [0, 0, 0, 1]}}, "$.crop"),
+    ({"spec": {"seed": "18446744073709551616"}}, "$.seed"),
+    ({"frame": -1}, "$.frame"),
+    ({"frame": 2 ** 32}, "$.frame"),
+    ({"frame": "7"}, "$.frame"),
+    ({"frame": 7, "shot": "w1"}, "$.shot"),
+    ({"frame": 7, "shot": "j0"}, "$.shot"),
+    ({"frame": 7, "shot": {"job": "j1"}}, "$.shot"),
+    ({"frame": 7, "shot": "j" + "9" * 40}, "$.shot"),
+    ({"shot": "j1"}, "$.shot"),
+    ({"plan": []}, "$.plan"),
+    ({"plan": {}}, "$.plan"),
+    ({"plan": {"columns": 2, "rows": 1, "max_spp": 64, "pilot": "kept", "spp": [4]}}, "$.plan.spp"),
+    ({"plan": {"columns": 4096, "rows": 4096, "max_spp": 64, "pilot": "kept", "spp": []}}, "$.plan.spp"),
+    ({"plan": {"columns": 1, "rows": 1, "max_spp": 64, "pilot": "kept", "spp": [-4]}}, "$.plan.spp"),
+    ({"plan": {"columns": 1, "rows": 1, "max_spp": 64, "pilot": "kept", "spp": [1e999]}}, "$"),
+    ({"plan": {"columns": 1, "rows": 1, "max_spp": 64, "pilot": "kept", "spp": [4], "square": 8}}, "$.plan"),
+    ({"preset": "fast.preset"}, "$.preset"),
+    ({"tls": {"ca": "/etc/passwd"}}, "$.tls"),
 ])
 def test_bad_job(call, job, change, place):
     before = len(call("GET", "/api/v1/jobs?limit=1000")[1]["items"])
@@ -178,6 +208,32 @@ def test_bad_job(call, job, change, place):
     assert status in (400, 422), problem
     assert any(place in e["pointer"] for e in problem["errors"]), problem
     assert len(call("GET", "/api/v1/jobs?limit=1000")[1]["items"]) == before
+
+
+PLAN = {"columns": 4, "rows": 4, "max_spp": 64, "pilot": "dropped", "spp": [16] * 16}
+
+
+@pytest.mark.parametrize("spec, plan", [
+    ({"stop": "plan"}, None),                                # asks for one and has none
+    ({}, PLAN),                                              # has one and does not ask
+    ({"stop": "plan", "spp": 65536}, PLAN),                  # its blocks are others
+    ({"stop": "plan", "width": 80}, PLAN),                   # wider than the plan
+    ({"stop": "plan"}, {**PLAN, "column": 1}),               # beside the picture
+    ({"stop": "plan"}, {**PLAN, "spp": [16] * 15 + [17]}),   # no number of blocks
+    ({"stop": "plan"}, {**PLAN, "spp": [16] * 15 + [128]}),  # over its own most
+])
+def test_plan_that_does_not_fit(call, job, spec, plan):
+    body = {**job, "spec": {"width": 64, "height": 64, "spp": 64, **spec}}
+    if plan:
+        body["plan"] = plan
+    status, problem, _ = call("POST", "/api/v1/jobs", body)
+    assert status == 422 and problem["title"], problem
+    assert call("GET", "/healthz")[0] == 200
+
+
+def test_frame_of_no_shot(call, job):
+    check_problem(call("POST", "/api/v1/jobs", {**job, "frame": 7, "shot": "j4294967295"}), 422,
+                  "unknown-job")
 
 
 @pytest.mark.parametrize("body", ["", "{", "[]", "null", "nonsense", '{"a":1,"a":2}', "[" * 100000,

@@ -740,6 +740,102 @@ def test_bad_result_is_refused(farm, job, kind):
         assert report["units"]["rejected"] >= 1
 
 
+# --- The newer options: planes, plans, frames, checks --------------------------------------------
+
+AOVS = "depth,uv,normal"       # centre planes, then means
+PLANES = 3 + 1 + 2 + 3
+
+
+def with_planes(lease, planes, **changes):
+    """A result of so many planes, those behind R, G and B zero."""
+    pixels, samples = pixels_of(lease), block_samples(lease["block"])
+    fields, _ = honest(lease, body=b"", **{"raw_bytes": pixels * 4 * planes, **changes})
+    values = [0.5 * samples] * (pixels * min(planes, 3)) + [0.0] * (pixels * max(planes - 3, 0))
+    return fields, tile_encode(values)
+
+
+@pytest.mark.parametrize("planes, changes", [
+    (3, {}), (PLANES - 1, {}), (PLANES + 1, {}), (PLANES, {"raw_bytes": 12}), (0, {}),
+    (PLANES, {"samples": 1}), (1, {})])
+def test_results_with_other_planes_are_refused(farm, planes, changes):
+    """A job with AOVs takes results of just its planes."""
+    job = farm.submit(SEED_SCENE, "--spp", SPP, "--size", f"{SIDE}x{SIDE}", "--tile", TILE,
+                      "--aov", AOVS)
+    bad, good = Scripted(farm, threads=1).welcome(), Scripted(farm).welcome()
+    bad.send("JobReady", job=1)
+    fields, body = with_planes(bad.lease(), planes, **changes)
+    bad.send("Result", body, **fields)
+    try:
+        bad.drain_messages(0.3)
+    except (Closed, ConnectionError):
+        pass
+    bad.close()
+    assert farm.job(job)["units"]["total"] == 0
+    good.send("JobReady", job=1)
+    while farm.job(job)["state"] != "done":
+        good.drain_messages(0.05)
+        for lease in good.leases:
+            fields, body = with_planes(lease, PLANES)
+            good.send("Result", body, **fields)
+        good.leases = []
+        good.beat()
+    assert farm.job(job)["image_sha256"] == expected_sha()
+    status, exr = farm.request("GET", f"/api/v1/jobs/{job}/picture.exr?half=1", raw=True)
+    assert status == 200 and exr[:4] == b"\x76\x2f\x31\x01"
+
+
+def test_nan_in_a_plane_is_refused(farm):
+    job = farm.submit(SEED_SCENE, "--spp", SPP, "--size", f"{SIDE}x{SIDE}", "--tile", TILE,
+                      "--aov", AOVS)
+    peer = Scripted(farm, threads=1).welcome()
+    peer.send("JobReady", job=1)
+    lease = peer.lease()
+    pixels = pixels_of(lease)
+    fields, _ = with_planes(lease, PLANES)
+    peer.send("Result", tile_encode([1.0] * (pixels * (PLANES - 1)) + [float("nan")] * pixels),
+              **fields)
+    wait_until(lambda: farm.job(job)["units"]["rejected"] == 1, "the refusal")
+    assert farm.job(job)["units"]["total"] == 0
+
+
+def test_verified_units_of_a_frame(farm):
+    """A frame whose every unit is checked: one worker's word is not enough, and a lie is found."""
+    folder = farm.folder
+    scene = json.loads(open(SEED_SCENE, encoding="utf-8").read())
+    for item in scene["objects"]:
+        if "path" in item:
+            item["path"] = os.path.join(os.path.dirname(str(SEED_SCENE)), item["path"])
+    for number in (3, 4):
+        with open(f"{folder}/shot.{number}.json", "w", encoding="utf-8") as file:
+            json.dump(scene, file)
+    done = farm.cli("submit", f"{folder}/shot.#.json", "--frames", "3-4", "--spp", SPP, "--size",
+                    f"{SIDE}x{SIDE}", "--tile", TILE, "--verify", "1")
+    assert done.returncode == 0, done.stderr
+    first = Scripted(farm, threads=1).welcome()
+    first.send("JobReady", job=1)
+    lease = first.lease()
+    fields, body = honest(lease, 0.75)  # lies
+    first.send("Result", body, **fields)
+    peers = [first] + [Scripted(farm, threads=1).welcome() for _ in range(3)]
+    deadline = time.monotonic() + 60 * SLOW
+    while any(farm.job(f"j{n}")["state"] != "done" for n in (1, 2)):
+        assert time.monotonic() < deadline, farm.job("j1")
+        for peer in peers:
+            for number in (1, 2):
+                peer.send("JobReady", job=number)
+            peer.drain_messages(0.03)
+            for one in peer.leases:
+                fields, body = honest(one, 0.75 if peer is first else 0.5)
+                peer.send("Result", body, **fields)
+            peer.leases = []
+            peer.beat()
+    for number in (1, 2):
+        report = farm.job(f"j{number}")
+        assert report["image_sha256"] == expected_sha(0.5)
+        assert report["units"]["verified"] > 0 and report["frame"] == number + 2
+    assert states(farm)[first.id] == "set-aside"
+
+
 def test_liar_is_found(farm, job):
     """A worker whose bits differ from those of two others is set aside; its work starts again."""
     liar = Scripted(farm, threads=1).welcome()
