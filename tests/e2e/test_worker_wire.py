@@ -4,6 +4,7 @@
 c-ray, the nearest peer, is hung by sixteen random bytes and crashed by a missing field; a worker
 of Tilery hangs up and comes back.
 """
+import json
 import os
 import random
 import signal
@@ -174,6 +175,33 @@ class WorkerWire(unittest.TestCase):
         self.assertEqual(peer.expect("UnitFailed")["error"], "ERR_INPUT")
         give(peer, self.package, list(self.package.units)[:1])
         peer.expect("Result")
+
+    def test_planes_plans_and_nonsense_in_a_spec(self):
+        """A worker renders the planes that a job has, and refuses a spec that no master makes."""
+        self.worker()
+        peer = self.master.accept()
+        peer.shake()
+        spec = json.loads(self.package.spec)
+        for number, change in enumerate((
+                {"aov": "depht"}, {"aov": "depth,depth"}, {"aov": 7}, {"stop": "never"},
+                {"stop": "plan", "plan": [4]}, {"verify": 2}, {"precision": "half"},
+                {"max_depth": -1}, {"tile": 0}, {"spp": 2 ** 60}, {"width": 0},
+                {"preset": "a.preset"}, {"frame": 1}), 2):
+            peer.send("JobInfo", job=number, package=self.package.root,
+                      spec_json=json.dumps({**spec, **change}))
+            m = peer.expect("JobFailed")
+            self.assertEqual((m["job"], m["error"]), (number, "ERR_INPUT"), change)
+            peer.send("Lease", job=number, cell_begin=0, cell_count=1, block=0, epoch=number)
+            self.assertEqual(peer.expect("UnitFailed")["epoch"], number)
+        planes = json.dumps({**spec, "aov": "depth,uv,normal"}).encode()
+        peer.send("JobInfo", job=50, package=self.package.root, spec_json=planes)
+        self.assertEqual(serve(peer, self.package)[0]["job"], 50)
+        give(peer, self.package, list(self.package.units)[:1], job=50)
+        m = peer.expect("Result")
+        (_, count, _), = list(self.package.units)[:1]
+        pixels = m["raw_bytes"] // (4 * (3 + 1 + 2 + 3))
+        self.assertEqual(m["raw_bytes"], pixels * 4 * 9)
+        self.assertEqual(pixels % count, 0)
 
     def test_missing_chunk_fails_the_job(self):
         self.worker()
