@@ -85,17 +85,30 @@ static bool is_right(const struct trace_scene *s, const struct ray *ray, uint32_
 
 /* --- Embree ------------------------------------------------------------------ */
 
+/* How many hits of two trees differ in any bit. */
+static size_t hits_differ(const struct hit *a, const struct hit *b, size_t count)
+{
+    size_t differ = 0;
+    for (size_t i = 0; i < count; i++)
+        differ += a[i].object != b[i].object ||
+                  (a[i].object != SCENE_NONE && memcmp(&a[i], &b[i], sizeof a[i]) != 0);
+    return differ;
+}
+
 static void check_scene(enum trace_scene_id id, size_t count)
 {
     enum { JUDGED_MAX = 300, CHUNK = 1000 };
     static struct ray rays[CHUNK];
-    static struct hit hits[CHUNK];
+    static struct hit hits[CHUNK], again[CHUNK];
+    const struct accel_options options = {.compact = true};
     struct trace_scene s;
+    struct accel *compact = NULL;
     uint64_t seed = 77;
     size_t differ = 0, wrong_ours = 0, wrong_theirs = 0, judged = 0;
     assert_int_equal(trace_scene_make(&s, id), ERR_OK);
     struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
     struct trace_peer *peer = trace_peer_new(NULL, 1);
+    assert_int_equal(accel_new(&s.input, &options, NULL, &compact), ERR_OK);
     assert_non_null(peer);
     trace_peer_build(peer, &s, PEER_MEDIUM, true);
     for (size_t i = 0; i < count; i += CHUNK) {
@@ -112,6 +125,8 @@ static void check_scene(enum trace_scene_id id, size_t count)
             rays[j] = trace_rays_get(&one, 0);
         }
         accel_closest_batch(a, rays, CHUNK, hits);
+        accel_closest_batch(compact, rays, CHUNK, again);
+        assert_int_equal(hits_differ(hits, again, CHUNK), 0);
         for (size_t j = 0; j < CHUNK; j++) {
             struct trace_peer_hit theirs;
             trace_peer_closest(peer, form[j], &theirs);
@@ -130,6 +145,7 @@ static void check_scene(enum trace_scene_id id, size_t count)
            trace_scene_names[id], count, differ, wrong_ours, wrong_theirs);
     assert_int_equal(wrong_ours, 0);
     trace_peer_free(peer);
+    accel_free(compact);
     accel_free(a);
     trace_scene_release(&s);
 }
