@@ -102,6 +102,10 @@ static inline bool scene_plan_has(const struct scene_plan *p, enum scene_feature
  * below, the second level of traversal costs more than the memory is worth. */
 enum { SCENE_INSTANCE_TRIANGLES_MIN = 4096 };
 
+/* From so many triangles in all on trees are compact: half of gigabytes is worth more than the rays
+ * it costs. */
+enum { SCENE_COMPACT_TRIANGLES_MIN = 1 << 25 };
+
 /* Estimates, in bytes, of what a worker holds while it renders: the tree; vertices with what they
  * carry; pictures; lights; all of these. tests/render/test_plan holds them to what is held. */
 struct scene_plan_memory {

@@ -6,6 +6,9 @@
  * on the models of docs/SPECIALISE.md. */
 static const double TREE_BYTES_PER_TRIANGLE = 55;
 
+/* With blocks of 64 bytes (docs/TRACING.md). */
+static const double COMPACT_BYTES_PER_TRIANGLE = 29;
+
 /* A light's row in the table, with its place in the distribution; the sky's per texel. */
 enum { LIGHT_BYTES = 344, SKY_BYTES_PER_TEXEL = 8, SKY_WIDTH_MAX = 2048 };
 
@@ -107,7 +110,9 @@ struct scene_plan_memory scene_plan_memory(const struct scene *scene, const stru
         uint64_t width = image->width < SKY_WIDTH_MAX ? image->width : SKY_WIDTH_MAX;
         out.lights += width * width / 2 * SKY_BYTES_PER_TEXEL;
     }
-    out.tree = (uint64_t)((double)out.triangles * TREE_BYTES_PER_TRIANGLE);
+    bool compact = out.triangles >= SCENE_COMPACT_TRIANGLES_MIN;
+    out.tree = (uint64_t)((double)out.triangles *
+                          (compact ? COMPACT_BYTES_PER_TRIANGLE : TREE_BYTES_PER_TRIANGLE));
     uint64_t rows = OBJECT_BYTES * scene->object_count + MATERIAL_BYTES * scene->material_count +
                     TEXTURE_BYTES * scene->texture_count;
     uint64_t tables = rows + out.geometry + out.images + out.lights;

@@ -368,6 +368,24 @@ static void check_data(const char *data, bool all)
     }
 }
 
+/* Meshes too big to build here: from the limit on a tree is estimated as a compact one. */
+static void check_memory_of_many(void)
+{
+    double tree[2];
+    for (uint32_t i = 0; i < 2; i++) {
+        struct scene_mesh mesh = {.triangle_count = SCENE_COMPACT_TRIANGLES_MIN - 1 + i};
+        struct scene_object object = {.type = SCENE_OBJECT_MESH, .material = SCENE_NONE};
+        struct scene s = {.meshes = &mesh, .mesh_count = 1, .objects = &object, .object_count = 1};
+        struct scene_plan_mesh use = {.uses = 1};
+        bool kept = true;
+        struct scene_plan plan = {.objects = &kept, .meshes = &use};
+        s.envmap.texture = SCENE_NONE;
+        tree[i] = (double)scene_plan_memory(&s, &plan).tree;
+    }
+    if (!(tree[1] < 0.6 * tree[0] && tree[1] > 0.5 * tree[0]))
+        fail("many triangles", "the estimate is not that of a compact tree");
+}
+
 int main(int argc, char **argv)
 {
     static const char *const scenes[] = {
@@ -377,6 +395,7 @@ int main(int argc, char **argv)
         return import_child_main(argc, argv);
     check_rules();
     check_colors();
+    check_memory_of_many();
     for (size_t i = 0; i < sizeof scenes / sizeof *scenes; i++) {
         char path[100];
         (void)snprintf(path, sizeof path, "scenes/%s.json", scenes[i]);

@@ -1,13 +1,11 @@
 #include "worker/scene/scene_build.h"
 
+#include "common/scene_plan.h"
 #include "worker/scene/scene_locks.h"
 #include "worker/scene/scene_parts.h"
 
 /* Below, building takes less time than finding. */
 enum { KEPT_TRIANGLES_MIN = 20000 };
-
-/* From here on trees are compact: half of gigabytes is worth more than the rays it costs. */
-enum { COMPACT_TRIANGLES_MIN = 1 << 25 };
 
 static uint64_t triangles_of(const struct accel_input *input)
 {
@@ -85,7 +83,7 @@ static enum err build_accel(struct render_scene *rs, const struct scene_building
     struct accel_options options = {.builder = rs->spec.builder,
                                     .intersector = rs->spec.intersector,
                                     .precision = rs->spec.precision,
-                                    .compact = triangles_of(&input) >= COMPACT_TRIANGLES_MIN};
+                                    .compact = triangles_of(&input) >= SCENE_COMPACT_TRIANGLES_MIN};
     e = try_lazy(rs, &input, &options, how);
     if (e == ERR_OK && !rs->accel)
         e = find_or_build(rs, &input, &options, how->runner, how->trees);
