@@ -94,13 +94,14 @@ static uint32_t sequence_of(const struct cursor *c)
     return c->block.half + (c->block.pilot ? 2 : 0);
 }
 
-/* The place of a pixel's sample in the sequence of its group. Where every pixel gets the same
- * samples, each takes an aligned run: evenly spread within each pixel, and over all of them. Where
- * nobody knows yet how many a pixel will get, samples 2^k to 2^(k+1) - 1 of all pixels follow
- * those below: each pixel takes an aligned run of 2^k of them, and after each doubling the group
- * has used a whole prefix of the sequence. */
+/* The place of a pixel's sample in the sequence of its group: each pixel takes a run of its own,
+ * aligned, so that its first 2^k samples are evenly spread whatever k is. Where every pixel gets
+ * the same samples the runs are as long as that, and evenly spread over all pixels too. Where
+ * nobody knows yet how many a pixel will get, they are RUN long; the few pixels with more of them
+ * go on behind all runs, with samples 2^k to 2^(k+1) - 1 as a run each. */
 static uint64_t group_index(const struct render_scene *scene, const struct cursor *c, uint64_t lane)
 {
+    enum { RUN = 4096 };
     const struct job_spec *spec = &scene->spec;
     uint64_t index = c->block.begin + c->sample, run = 1;
     if (spec->stop == JOB_STOP_SPP) {
@@ -108,8 +109,8 @@ static uint64_t group_index(const struct render_scene *scene, const struct curso
             run *= 2;
         return lane * run + index;
     }
-    if (index == 0)
-        return lane;
+    if (index < RUN)
+        return lane * RUN + index;
     while (run <= index / 2)
         run *= 2;
     return ((uint64_t)c->side * c->side + lane) * run + (index - run);
