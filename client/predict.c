@@ -16,19 +16,22 @@ static const double QUANTILE = 1.2816;
  * scenes did 1 (independent samples) to 1.9 (stratified ones, smooth pictures). */
 static const double POWER = 1.3, POWER_SPREAD = 0.3;
 /* A straight line is a model: what is left of it, of the logarithm. */
-static const double ERROR_SPREAD = 0.12, TIME_SPREAD = 0.45;
-/* How many pilots' worth of belief TIME_SPREAD has against the scatter that is seen. */
+static const double ERROR_SPREAD = 0.12, TIME_SPREAD = 0.12, COST_SPREAD = 0.12;
+/* Others on the machine stretch times, and not evenly: so much of the stretch's logarithm. */
+static const double STRETCH_SPREAD = 0.06, STRETCH_COST_SPREAD = 0.06;
+/* On a farm whose processor time is not to be seen. */
+static const double STRETCH_UNKNOWN = 10;
+/* How many pilots' worth of belief that has against the scatter that is seen. */
 static const double TIME_BELIEF = 2;
 /* A stated error scatters by more than it states: few groups carry it. Measured. */
 static const double STATED_SPREAD = 0.35;
-/* A fresh farm is slower than the pilots' warm one, measured on a busy machine. */
-static const double FRESH = 1.2;
-/* A time limit: fewest samples of a pixel, and spread of the logarithm of the time it really ends
- * at (a limit of 10 s took 9.6 to 10.9 s). */
-static const double SPP_LEAST = 4, LIMIT_SPREAD = 0.05;
+/* A time limit: fewest samples of a pixel; what is not begun so long before is taken back
+ * (job_plan.c), and the rest takes most of that; deviation in seconds and of the logarithm (limits
+ * of 2 s took 1.56 to 1.76 s, of 10 s 9.6 to 10.9 s). */
+static const double SPP_LEAST = 4, LIMIT_EARLY_S = 0.3, LIMIT_SPREAD_S = 0.1, LIMIT_SPREAD = 0.03;
 static const double PIVOT_SPP = 16;
 /* What a claim costs: its upper bound must be under the target, and looks come in steps. */
-static const double CLAIM_FACTOR = 1.2;
+static const double CLAIM_FACTOR = 1.25;
 /* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
 static const double PILOT_PIXELS_MAX = 512.0 * 512.0;
 /* Where a render to a target ends, of the target. */
@@ -92,13 +95,40 @@ static double error_at(const struct error_fit *f, double spp)
     return f->known ? exp(f->level - f->power * log(spp / PIVOT_SPP)) : 0;
 }
 
+struct cost_fit predict_fit_cost(const struct pilots *p)
+{
+    struct cost_fit f = {.stretch = 1, .known = p->count > 1};
+    double stretch = 0;
+    for (size_t i = 0; i < p->count; i++) {
+        f.known = f.known && p->of[i].cpu_s > 0 && p->of[i].core_s > 0;
+        stretch += log(p->of[i].core_s / p->of[i].cpu_s) / (double)p->count;
+    }
+    if (!f.known)
+        return (struct cost_fit){.stretch = STRETCH_UNKNOWN};
+    /* The first pilot read the scene besides; the others do not have that. */
+    const struct pilot *first = &p->of[0], *last = &p->of[p->count - 1];
+    f.stretch = stretch > 0 ? exp(stretch) : 1;
+    f.spp_s = last->cpu_s / last->spp;
+    if (p->count > 2) {
+        double slope = (last->cpu_s - p->of[1].cpu_s) / (last->spp - p->of[1].spp);
+        f.spp_s = slope > 0 && slope < f.spp_s ? slope : f.spp_s;
+    }
+    double fixed_s = first->cpu_s - first->spp * f.spp_s;
+    f.fixed_s = fixed_s > 0 ? fixed_s : 0;
+    return f;
+}
+
+static double busy_of(const struct pilot *p)
+{
+    return p->busy_s > 1e-6 ? p->busy_s : 1e-6;
+}
+
 /* Weighted by 1 / seconds^2: what disturbs a render disturbs it in proportion. */
 struct time_fit predict_fit_time(const struct pilots *p)
 {
     double w0 = 0, w1 = 0, w2 = 0, y0 = 0, y1 = 0, square = 0;
     for (size_t i = 0; i < p->count; i++) {
-        double x = p->of[i].spp, y = p->of[i].busy_s > 1e-6 ? p->of[i].busy_s : 1e-6;
-        double w = 1 / (y * y);
+        double x = p->of[i].spp, y = busy_of(&p->of[i]), w = 1 / (y * y);
         w0 += w;
         w1 += w * x;
         w2 += w * x * x;
@@ -114,14 +144,33 @@ struct time_fit predict_fit_time(const struct pilots *p)
             f = (struct time_fit){.fixed_s = fixed_s, .spp_s = spp_s};
     }
     for (size_t i = 0; i < p->count; i++) {
-        double y = p->of[i].busy_s > 1e-6 ? p->of[i].busy_s : 1e-6;
-        double off = log(y / (f.fixed_s + f.spp_s * p->of[i].spp));
+        double off = log(busy_of(&p->of[i]) / (f.fixed_s + f.spp_s * p->of[i].spp));
         square += off * off;
     }
     double freedom = p->count > 2 ? (double)p->count - 2 : 0;
-    f.deviation =
-        sqrt((TIME_BELIEF * TIME_SPREAD * TIME_SPREAD + square) / (TIME_BELIEF + freedom));
+    double spread = hypot(TIME_SPREAD, STRETCH_SPREAD * log(predict_fit_cost(p).stretch));
+    f.deviation = sqrt((TIME_BELIEF * spread * spread + square) / (TIME_BELIEF + freedom));
     return f;
+}
+
+/* By how much more the error is where samples grow by quarters of an octave, as plans do: well
+ * spread samples are so in powers of two. 1 + m of them are a whole set and sets of the parts of m,
+ * each with the error that the power gives it; the mean over m = 0, 1/4, 1/2, 3/4, by ratio. */
+static double between_powers(double power)
+{
+    enum { STEPS = 4 };
+    double sum = 0;
+    for (int step = 0; step < STEPS; step++) {
+        double n = 1 + (double)step / STEPS, variance = 1;
+        for (double part = 0.5, left = n - 1; left > 0; part /= 2) {
+            if (part > left)
+                continue;
+            variance += part * part * pow(part, -power);
+            left -= part;
+        }
+        sum += log(variance / (n * n) * pow(n, power));
+    }
+    return exp(sum / STEPS);
 }
 
 /* Samples that a render to a target ends with, the pilot apart. */
@@ -132,53 +181,88 @@ static double spp_for(const struct error_fit *f, double gain, double target)
     return PIVOT_SPP * exp((f->level + log(CLAIM_FACTOR * gain / target)) / f->power);
 }
 
+/* What a job will do, before its doubts. */
+struct course {
+    double spp, rendered; /* of the picture; of a pilot that is dropped */
+    double gain;          /* by which its error is less than that of equal samples */
+    double spread;        /* of the samples' logarithm, beside what the error's fit leaves open */
+    bool bounded;         /* by --max-spp */
+};
+
+static struct course course_of(const struct pilots *p, const struct job_spec *spec,
+                               const struct error_fit *error, const struct time_fit *time)
+{
+    double gain = p->gain > 0 && p->gain < 1 ? p->gain : 1, max = (double)spec->spp;
+    struct course c = {.spp = max, .gain = 1};
+    if (spec->stop == JOB_STOP_ERROR) {
+        gain *= between_powers(error->power);
+        c.spp = spp_for(error, gain, spec->target_error);
+        c.rendered = c.spp > PIVOT_SPP ? PIVOT_SPP : 0;
+        c.spp = c.spp > PIVOT_SPP ? c.spp : PIVOT_SPP;
+        c.gain = gain;
+        /* It makes no claim until the tail is gone: anywhere from here to the bound. */
+        if (p->heavy_tail && c.spp < max) {
+            c.spread = log(max / c.spp) / (2 * QUANTILE);
+            c.spp = sqrt(c.spp * max);
+        }
+    } else if (spec->stop == JOB_STOP_TIME) {
+        double busy_s = spec->time_limit_s - LIMIT_EARLY_S - p->load_s - time->fixed_s;
+        bool dropped = time->spp_s * PIVOT_SPP < 0.12 * spec->time_limit_s;
+        c.spp = (busy_s > 0 ? busy_s : 0) / time->spp_s - (dropped ? PIVOT_SPP : 0);
+        c.rendered = dropped ? PIVOT_SPP : 0;
+        c.spp = c.spp > SPP_LEAST ? c.spp : SPP_LEAST;
+        c.gain = (dropped ? gain : 1) * between_powers(error->power);
+    }
+    c.bounded = c.spp > max;
+    c.spp = c.bounded ? max : c.spp;
+    return c;
+}
+
 struct prediction predict(const struct pilots *p, const struct job_spec *spec)
 {
     struct prediction out = {.heavy_tail = p->heavy_tail};
     struct error_fit error = predict_fit_error(p);
     struct time_fit time = predict_fit_time(p);
+    struct cost_fit cost = predict_fit_cost(p);
     time.spp_s *= p->pixel_ratio;
-    double gain = p->gain > 0 && p->gain < 1 ? p->gain : 1;
-    double max = (double)spec->spp, spp = max, rendered = 0, time_doubt = time.deviation;
-    if (spec->stop == JOB_STOP_SPP) {
-        gain = 1;
-    } else if (spec->stop == JOB_STOP_ERROR) {
-        spp = spp_for(&error, gain, spec->target_error);
-        rendered = spp > PIVOT_SPP ? PIVOT_SPP : 0; /* the pilot, dropped */
-        spp = spp > PIVOT_SPP ? spp : PIVOT_SPP;
-    } else {
-        double busy_s = spec->time_limit_s - p->load_s - time.fixed_s;
-        spp = (busy_s > 0 ? busy_s : 0) / time.spp_s;
-        bool dropped = time.spp_s * PIVOT_SPP < 0.12 * spec->time_limit_s;
-        gain = dropped ? gain : 1;
-        spp = dropped ? spp - PIVOT_SPP : spp;
-        spp = spp > SPP_LEAST ? spp : SPP_LEAST;
-    }
-    bool bounded = spp > max;
-    out.spp_mean = bounded ? max : spp;
-    out.relmse = error_at(&error, out.spp_mean) * gain;
-    double doubt = error_doubt(&error, out.spp_mean);
-    out.seconds = p->load_s + FRESH * (time.fixed_s + time.spp_s * (out.spp_mean + rendered));
-    if (spec->stop == JOB_STOP_ERROR && !bounded) {
-        time_doubt = hypot(time_doubt, doubt / error.power);
-        out.relmse = CLAIM_ERROR * spec->target_error;
-        doubt = CLAIM_SPREAD;
+    cost.spp_s *= p->pixel_ratio;
+    struct course course = course_of(p, spec, &error, &time);
+    out.spp_mean = course.spp;
+    out.relmse = error_at(&error, course.spp) * course.gain;
+    out.seconds = p->load_s + time.fixed_s + time.spp_s * (course.spp + course.rendered);
+    out.core_s =
+        cost.known ? cost.fixed_s + cost.spp_s * (course.spp + course.rendered) : (double)NAN;
+    double doubt = error_doubt(&error, course.spp), time_doubt = time.deviation;
+    double cost_doubt = hypot(COST_SPREAD, STRETCH_COST_SPREAD * log(cost.stretch));
+    if (spec->stop == JOB_STOP_ERROR && !course.bounded) {
+        double samples = hypot(doubt / error.power, course.spread);
+        time_doubt = hypot(time_doubt, samples);
+        cost_doubt = hypot(cost_doubt, samples);
+        if (!p->heavy_tail) {
+            out.relmse = CLAIM_ERROR * spec->target_error;
+            doubt = CLAIM_SPREAD;
+        } else {
+            doubt = hypot(doubt, error.power * course.spread);
+        }
     } else if (spec->stop == JOB_STOP_TIME) {
         doubt = hypot(doubt, error.power * time.deviation);
-        if (!bounded) {
+        cost_doubt = hypot(cost_doubt, time.deviation);
+        if (!course.bounded) {
             /* It ends at the limit, unless the fewest samples take longer. */
-            double least_s = p->load_s + FRESH * (time.fixed_s + time.spp_s * SPP_LEAST);
-            bool late = least_s > spec->time_limit_s;
-            out.seconds = late ? least_s : spec->time_limit_s;
-            time_doubt = late ? time_doubt : LIMIT_SPREAD;
+            double least_s = p->load_s + time.fixed_s + time.spp_s * SPP_LEAST;
+            double limit_s = spec->time_limit_s, end_s = fmax(limit_s - LIMIT_EARLY_S, limit_s / 2);
+            bool late = least_s > end_s;
+            out.seconds = late ? least_s : end_s;
+            time_doubt = late ? time_doubt : hypot(LIMIT_SPREAD_S / end_s, LIMIT_SPREAD);
         }
     }
     spread(out.seconds, time_doubt, &out.seconds_low, &out.seconds_high);
+    spread(out.core_s, cost_doubt, &out.core_low_s, &out.core_high_s);
     spread(out.relmse, doubt, &out.relmse_low, &out.relmse_high);
     return out;
 }
 
-static void add_pilot(struct pilots *all, const struct json *report)
+static void add_pilot(struct pilots *all, const struct json *report, double cpu_s)
 {
     const struct json *error = json_get_member(report, "error");
     const struct json *seconds = json_get_member(report, "seconds");
@@ -187,6 +271,8 @@ static void add_pilot(struct pilots *all, const struct json *report)
     double load_s = reply_number(seconds, "load", 0) + reply_number(seconds, "build", 0);
     struct pilot p = {.spp = reply_number(report, "spp_mean", 1),
                       .busy_s = reply_number(seconds, "total", 0) - load_s,
+                      .core_s = reply_number(report, "core_seconds", 0),
+                      .cpu_s = cpu_s,
                       .relmse = reply_number(error, "relmse", 0)};
     p.deviation = (high - p.relmse) / 1.96;
     if (all->count == 0)
@@ -238,12 +324,13 @@ static int render_pilot(struct study_farm *farm, const struct job_spec *spec, st
     pilot.spp = by_error ? JOB_ADAPTIVE_SPP_DEFAULT : SPP[all->count];
     pilot.seed += all->count;
     pilot.target_error = pilot.time_limit_s = 0;
+    double before_s = study_farm_cpu_s(farm);
     int status = study_farm_report(farm, &pilot, &report);
     if (status != EXIT_DONE)
         return status;
     if (by_error)
         all->gain = reply_number(report.json.root, "adaptive_gain", 1);
-    add_pilot(all, report.json.root);
+    add_pilot(all, report.json.root, study_farm_cpu_s(farm) - before_s);
     farm_json_release(&report);
     return EXIT_DONE;
 }
@@ -252,7 +339,7 @@ static int render_pilot(struct study_farm *farm, const struct job_spec *spec, st
  * render. */
 static bool worth_large(const struct pilots *all, const struct job_spec *spec)
 {
-    enum { SHORT_S = 5, NEAR_SPP = 64, LITTLE_SPP = 512 };
+    enum { SHORT_S = 5, NEAR_SPP = 24, LITTLE_SPP = 512 };
     double spp = predict(all, spec).spp_mean;
     return spp >= LITTLE_SPP || (spp >= NEAR_SPP && 4 * all->of[1].busy_s < SHORT_S);
 }
@@ -283,8 +370,15 @@ void predict_put_json(const struct prediction *p, struct buf *out)
         const char *key;
         double value;
     } fields[] = {
-        {"spp_mean", p->spp_mean},         {"seconds", p->seconds}, {"seconds_low", p->seconds_low},
-        {"seconds_high", p->seconds_high}, {"relmse", p->relmse},   {"relmse_low", p->relmse_low},
+        {"spp_mean", p->spp_mean},
+        {"seconds", p->seconds},
+        {"seconds_low", p->seconds_low},
+        {"seconds_high", p->seconds_high},
+        {"core_seconds", p->core_s},
+        {"core_seconds_low", p->core_low_s},
+        {"core_seconds_high", p->core_high_s},
+        {"relmse", p->relmse},
+        {"relmse_low", p->relmse_low},
         {"relmse_high", p->relmse_high},
     };
     buf_printf(out, "{\"heavy_tail\":%s", p->heavy_tail ? "true" : "false");
@@ -300,7 +394,12 @@ void predict_put_text(const struct prediction *p, struct buf *out)
     char a[HUMAN_BYTES], b[HUMAN_BYTES], c[HUMAN_BYTES];
     human_duration(p->seconds, a);
     human_left(p->seconds_low, p->seconds_high, b);
-    buf_printf(out, "cost      %s (80 %%: %s), %.0f spp on average\n", a, b, p->spp_mean);
+    buf_printf(out, "cost      %s (80 %%: %s)", a, b);
+    if (isfinite(p->core_s)) {
+        human_duration(p->core_s, a);
+        buf_printf(out, ", %s of processors", a);
+    }
+    buf_printf(out, ", %.0f spp on average\n", p->spp_mean);
     human_error(p->relmse, a);
     human_error(p->relmse_low, b);
     human_error(p->relmse_high, c);

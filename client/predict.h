@@ -1,10 +1,12 @@
 /* client/predict.h: seconds and error of a job before it is rendered, from a pilot.
  *
- * Two or three pilots (4, 16 and, where that is cheap, 64 samples a pixel, each with its own seed)
- * are rendered on a farm of our own children, as `tilery render` would start them. How fast error
- * falls is a property of the scene and its sampler, so it is fitted to them; time is a part that
- * does not grow and one that does. docs/ERROR.md has the formulas and how often they were right.
- * Main thread only. Tests: tests/unit/test_predict.c, tests/e2e/test_e2e_adaptive.py.
+ * Two or three pilots (4, 16 and, where that is short or little beside the render, 64 samples a
+ * pixel, each with its own seed) are rendered on a farm of our own children, as `tilery render`
+ * would start them. How fast error falls is a property of the scene and its sampler, so it is
+ * fitted to them; time is a part that does not grow and one that does. How much the machine is
+ * shared with others is measured: time of threads over processor time. docs/ERROR.md has the
+ * formulas and how often they were right. Main thread only. Tests: tests/unit/test_predict.c,
+ * tests/e2e/test_e2e_adaptive.py.
  */
 #ifndef CLIENT_PREDICT_H
 #define CLIENT_PREDICT_H
@@ -18,6 +20,8 @@ enum { PILOTS_MAX = 3 };
 /* What one pilot measured. */
 struct pilot {
     double spp, busy_s;       /* samples a pixel, and seconds from the scene's being there */
+    double core_s;            /* that its threads spent at it, waiting for a processor or not */
+    double cpu_s;             /* that the workers had a processor; NaN: not known */
     double relmse, deviation; /* its error, and the standard deviation of that */
 };
 
@@ -43,16 +47,25 @@ struct time_fit {
     double fixed_s, spp_s, deviation;
 };
 
+/* Of processor time, that of all workers: what the first pilot took over the others is fixed. */
+struct cost_fit {
+    double fixed_s, spp_s;
+    double stretch; /* seconds of a thread over those it had a processor, >= 1 */
+    bool known;
+};
+
 /* 80 % intervals. */
 struct prediction {
     double spp_mean;
     double seconds, seconds_low, seconds_high;
+    double core_s, core_low_s, core_high_s; /* processor time of the workers; NaN: not known */
     double relmse, relmse_low, relmse_high;
     bool heavy_tail; /* unpredictable: nothing but the samples' cost is known */
 };
 
 /* Pure: the fits, and what follows from them. */
 struct error_fit predict_fit_error(const struct pilots *p);
+struct cost_fit predict_fit_cost(const struct pilots *p);
 struct time_fit predict_fit_time(const struct pilots *p);
 struct prediction predict(const struct pilots *p, const struct job_spec *spec);
 

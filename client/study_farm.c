@@ -87,8 +87,7 @@ void study_farm_close(struct study_farm *f)
 
 /* --- CPU time of the workers ------------------------------------------------ */
 
-/* Seconds of all threads of our workers so far; NaN if it cannot be told. */
-static double cpu_seconds(const struct study_farm *f)
+double study_farm_cpu_s(const struct study_farm *f)
 {
     double sum = 0;
     for (uint32_t i = 0; f->own_runs && i < f->own.worker_count; i++) {
@@ -245,12 +244,12 @@ int study_farm_render(struct study_farm *f, const struct study_setting *settings
     char job[FARM_ID_BYTES];
     bool restarted = false;
     struct study_render r = {0};
-    double start_s = follow_now_s(), cpu_s = cpu_seconds(f);
+    double start_s = follow_now_s(), cpu_s = study_farm_cpu_s(f);
     int status = submit(f, settings, setting_count, job);
     if (status == EXIT_DONE)
         status = wait_job(f, job, &restarted);
     r.wall_s = follow_now_s() - start_s;
-    r.core_s = restarted ? (double)NAN : cpu_seconds(f) - cpu_s;
+    r.core_s = restarted ? (double)NAN : study_farm_cpu_s(f) - cpu_s;
     if (status == EXIT_DONE)
         status = take_report(f, job, &r);
     if (status == EXIT_DONE)

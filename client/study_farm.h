@@ -53,6 +53,10 @@ TL_NODISCARD int study_farm_render(struct study_farm *f, const struct study_sett
 TL_NODISCARD int study_farm_report(struct study_farm *f, const struct job_spec *spec,
                                    struct farm_json *report);
 
+/* Processor time of all threads of our workers so far; NaN if it cannot be told (a named farm, a
+ * worker that is being started again). */
+double study_farm_cpu_s(const struct study_farm *f);
+
 /* Bytes that the last render's picture takes as a file of half floats; 0 if unknown. */
 uint64_t study_farm_half_bytes(struct study_farm *f);
 

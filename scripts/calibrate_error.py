@@ -4,7 +4,7 @@ workers and compares what Tilery says with long references.
 
 usage: calibrate_error.py [--part rule,error,target,predict] [--size WxH] [--spp N] [--seeds N]
                           [--runs N] [--max-spp N] [--reference SPP] [--cases N]
-                          [--first-case N] [--busy] [--json OUT.json]
+                          [--first-case N] [--trials N] [--keep FOLDER] [--json OUT.json]
 
 rule:    the rule of --target-error on pictures of known noise, without a renderer: claims that were
          wrong, and work over that of a rule which knows the error.
@@ -20,6 +20,7 @@ import argparse
 import json
 import math
 import pathlib
+import resource
 import sys
 import tempfile
 
@@ -73,14 +74,21 @@ class Bench:
 class Truth:
     """Two references: the product of the differences to both has no part of their own noise."""
 
-    def __init__(self, bench, case, spp):
-        jobs = [bench.submit(case, "--seed", seed, "--spp", spp) for seed in (987654321, 987654322)]
-        (first, self.a), (second, self.b) = [bench.picture(job) for job in jobs]
+    def __init__(self, bench, case, spp, kept):
+        path = kept and kept / f"{name_of(case).replace(' ', '-')}-{bench.width}x{bench.height}-{spp}.npz"
+        if path and path.exists():
+            found = numpy.load(path)
+            self.a, self.b, self.mean_doubt = found["a"], found["b"], float(found["doubt"])
+        else:
+            jobs = [bench.submit(case, "--seed", seed, "--spp", spp) for seed in (987654321, 987654322)]
+            (first, self.a), (second, self.b) = [bench.picture(job) for job in jobs]
+            self.mean_doubt = math.hypot(*(r["error"]["mean_high"] - r["error"]["mean_low"]
+                                           for r in (first, second))) / 4
+            if path:
+                numpy.savez(path, a=self.a, b=self.b, doubt=self.mean_doubt)
         both = (self.a + self.b) / 2
         self.below = both ** 2 + 0.01 * both.mean() ** 2
         self.mean = both.mean()
-        self.mean_doubt = math.hypot(*(r["error"]["mean_high"] - r["error"]["mean_low"]
-                                       for r in (first, second))) / 4
 
     def terms(self, rgb):
         return ((rgb - self.a) * (rgb - self.b) / self.below).mean(axis=2)
@@ -154,7 +162,7 @@ def part_target(bench, truths, runs, spp, max_spp):
 
 
 # As master/job_plan.c has them.
-QUANTILE, FIRST_AIM, HEAVY_GROWTH, EFFECTIVE_MIN = 1.4, 2, 1.25, 32
+QUANTILE, FIRST_AIM, HEAVY_GROWTH, EFFECTIVE_MIN = 1.96, 2, 1.25, 32
 GROWTH_MIN, GROWTH_MAX, GROWTH_MARGIN = 1.06, 4, 1.02
 
 
@@ -200,44 +208,72 @@ def part_rule(trials):
     return rows
 
 
-PREDICTED = ((8, "96x64"), (32, "64x48"), (64, "48x32"), (128, "48x32"))
+# Errors that 30 to 100 samples reach, in pictures of 96 x 64.
+TARGETS = dict(zip(map(name_of, CASES), (1.5e-3, 2e-4, 8e-3, 3e-4, 3e-3, 1e-2, 1e-2, 2e-2)))
+PREDICTED = (("--size", "192x128", "--spp", 8), ("--size", "128x96", "--spp", 32),
+             ("--size", "96x64", "--spp", 96), ("--size", "96x64", "--max-spp", 256, "--target-error"),
+             ("--size", "96x64", "--time-limit", 2))
 
 
-def predicted_case(folder, number):
-    """One prediction and one render of another seed; None where no error is predicted."""
+def processor_s(folder, *options):
+    """Processor time of all processes of a render, and its report."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    path = folder / "report.json"
+    done = tilery("render", *options, "--quiet", "-o", folder / "render.exr", "--report", path,
+                  timeout=600)
+    assert done.returncode == 0, done.stderr
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return spent, json.loads(path.read_text())
+
+
+def predicted_case(folder, number, idle):
+    """One prediction and one render of another seed; `idle` is the processor time of client and
+    master."""
     case = CASES[number % len(CASES)]
-    spp, size = PREDICTED[number // len(CASES) % len(PREDICTED)]
-    base = [ROOT / "scenes" / f"{case[0]}.json", "--size", size, *case[1], "--spp", spp]
+    options = PREDICTED[number // len(CASES) % len(PREDICTED)]
+    if options[-1] == "--target-error":
+        options = (*options, TARGETS[name_of(case)])
+    base = [ROOT / "scenes" / f"{case[0]}.json", *case[1], *options]
     said = tilery("explain", *base, "--seed", number, "--json", timeout=600)
     assert said.returncode == 0, said.stderr
     said = json.loads(said.stdout)["predicted"]
-    picture, path = folder / f"{number}.exr", folder / f"{number}.json"
-    done = tilery("render", *base, "--seed", number + 1000, "--quiet", "-o", picture,
-                  "--report", path, timeout=600)
-    assert done.returncode == 0, done.stderr
-    report = json.loads(path.read_text())
-    true = {"seconds": report["seconds"]["total"], "relmse": report["error"]["relmse"]}
-    row = {"scene": name_of(case), "spp": spp, "heavy_tail": said["heavy_tail"]}
+    core, report = processor_s(folder, *base, "--seed", number + 1000)
+    core = max(core - idle, 1e-3)
+    true = {"seconds": report["seconds"]["total"], "core_seconds": core,
+            "relmse": report["error"]["relmse"]}
+    row = {"scene": name_of(case), "options": " ".join(map(str, options)),
+           "heavy_tail": said["heavy_tail"], "stretch": report["core_seconds"] / core}
     for what, value in true.items():
         row[what + "_log2"] = math.log2(value / said[what]) if value and said[what] else None
         row[what + "_in"] = said[what + "_low"] <= value <= said[what + "_high"]
+        row[what + "_width"] = math.log2(said[what + "_high"] / said[what + "_low"])
     return row
 
 
 def part_predict(folder, count, first):
     """As many cases as asked for, one at a time; logarithms to base 2 of true over predicted."""
     rows = []
+    nothing = (ROOT / "scenes/sphere.json", "--size", "1x1", "--spp", 1)
+    idle = numpy.median([processor_s(folder, *nothing)[0] for _ in range(9)])
     for number in range(first, first + count):
-        rows.append(predicted_case(folder, number))
+        rows.append(predicted_case(folder, number, idle))
         print(json.dumps(rows[-1]), flush=True)
-    for name, chosen in (("all", rows), ("no heavy tail", [r for r in rows if not r["heavy_tail"]])):
-        for what in ("seconds", "relmse"):
+    limited = [r for r in rows if "--time-limit" in r["options"]]
+    groups = {"all": rows, "no heavy tail": [r for r in rows if not r["heavy_tail"]],
+              "--spp": [r for r in rows if " --spp" in r["options"]],
+              "--target-error": [r for r in rows if "--target-error" in r["options"]],
+              "--time-limit": limited}
+    for name, chosen in groups.items():
+        for what in ("seconds", "core_seconds", "relmse"):
             off = [r[what + "_log2"] for r in chosen if r[what + "_log2"] is not None]
             inside = sum(r[what + "_in"] for r in chosen if r[what + "_log2"] is not None)
             if off:
-                print(f"predict {what}, {name}: {inside} of {len(off)} inside 80 % intervals, median "
-                      f"|log2(true/predicted)| {numpy.median(numpy.abs(off)):.3f}, median "
-                      f"{numpy.median(off):+.3f}", flush=True)
+                print(f"predict | {name} | {what} | {inside} of {len(off)} | "
+                      f"{numpy.median(numpy.abs(off)):.3f} | {numpy.median(off):+.3f} | "
+                      f"{numpy.median([r[what + '_width'] for r in chosen]):.2f} |", flush=True)
+    stretch = [r["stretch"] for r in rows]
+    print(f"predict: threads took {numpy.median(stretch):.2f} times their processor time (median)")
     return rows
 
 
@@ -253,6 +289,7 @@ def main():
     parser.add_argument("--cases", type=int, default=96, help="predictions")
     parser.add_argument("--first-case", type=int, default=0, help="others have other seeds")
     parser.add_argument("--reference", type=int, default=2048, help="samples of each of the two")
+    parser.add_argument("--keep", help="folder where references are kept for the next time")
     parser.add_argument("--json")
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
@@ -266,7 +303,8 @@ def main():
             found["rule"] = part_rule(arguments.trials)
         if "predict" in parts:
             found["predict"] = part_predict(pathlib.Path(folder), arguments.cases, arguments.first_case)
-        truths = {case: Truth(bench, case, arguments.reference) for case in CASES
+        kept = arguments.keep and pathlib.Path(arguments.keep)
+        truths = {case: Truth(bench, case, arguments.reference, kept) for case in CASES
                   if {"error", "target"} & set(parts)}
         if "error" in parts:
             found["error"] = part_error(bench, truths, arguments.seeds, arguments.spp)
@@ -274,7 +312,7 @@ def main():
             found["target"] = part_target(bench, truths, arguments.runs, arguments.spp,
                                           arguments.max_spp)
     if arguments.json:
-        pathlib.Path(arguments.json).write_text(json.dumps(found, indent=1) + "\n")
+        pathlib.Path(arguments.json).write_text(json.dumps(found, indent=1, default=int) + "\n")
 
 
 if __name__ == "__main__":

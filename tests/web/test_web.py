@@ -67,7 +67,11 @@ def test_job_from_queue_to_picture_without_a_reload(farm, page):
     width = page.evaluate("document.getElementById('picture').naturalWidth")
     assert width == 96
     expect(page.locator("#report")).to_contain_text(farm.job(job)["image_sha256"])
-    expect(page.locator("#report")).to_contain_text("relMSE")
+    error = farm.job(job)["error"]
+    told = page.evaluate(  # as JavaScript writes numbers
+        "e => 'relMSE' + e.relmse.toPrecision(3) + ' (95 %: ' + e.relmse_low.toPrecision(3) + ' to '"
+        " + e.relmse_high.toPrecision(3) + ')'", error)
+    expect(page.locator("#report")).to_contain_text(told)
     with page.expect_download() as download:
         page.locator("#exr").click()
     assert pathlib.Path(download.value.path()).read_bytes()[:4] == b"\x76\x2f\x31\x01"
