@@ -30,6 +30,22 @@ void rig_stop(struct rig *r)
     arena_release(&r->arena);
 }
 
+struct rig rig;
+
+int rig_setup(void **state)
+{
+    (void)state;
+    rig_start(&rig, NULL);
+    return 0;
+}
+
+int rig_teardown(void **state)
+{
+    (void)state;
+    rig_stop(&rig);
+    return 0;
+}
+
 static bool told(const struct rig *r, uint64_t worker, uint64_t job)
 {
     for (uint32_t i = 0; i < r->open_count; i++) {

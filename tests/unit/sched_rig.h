@@ -32,6 +32,12 @@ struct rig {
     uint32_t open_count;
 };
 
+/* One for a program whose tests each begin with a new scheduler: RIG_TEST(name) in its list. */
+extern struct rig rig;
+int rig_setup(void **state);
+int rig_teardown(void **state);
+#define RIG_TEST(name) cmocka_unit_test_setup_teardown(name, rig_setup, rig_teardown)
+
 void rig_start(struct rig *r, const struct sched_limits *limits); /* NULL: defaults, small tables */
 void rig_stop(struct rig *r);
 

@@ -6,22 +6,6 @@
 
 #include "tests/unit/sched_rig.h"
 
-static struct rig rig;
-
-static int start(void **state)
-{
-    (void)state;
-    rig_start(&rig, NULL);
-    return 0;
-}
-
-static int stop(void **state)
-{
-    (void)state;
-    rig_stop(&rig);
-    return 0;
-}
-
 /* --- One job ---------------------------------------------------------------------- */
 
 static void test_one_worker_renders_every_spot_once(void **state)
@@ -492,34 +476,32 @@ static void test_every_allocation_may_fail(void **state)
     }
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, start, stop)
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(test_one_worker_renders_every_spot_once),
-        TEST(test_blocks_come_in_order_within_the_window),
-        TEST(test_first_units_are_small_then_last_a_second),
-        TEST(test_no_unit_exceeds_a_quarter_of_a_share),
-        TEST(test_unit_cells_max_is_kept),
-        TEST(test_worker_holds_threads_and_two),
-        TEST(test_long_round_trips_need_more_leases),
-        TEST(test_idle_threads_come_before_prefetch),
-        TEST(test_higher_priority_goes_first),
-        TEST(test_equals_share_the_threads),
-        TEST(test_paused_job_gets_no_lease_but_takes_results),
-        TEST(test_cancel_revokes_and_retry_goes_on),
-        TEST(test_removed_job_is_forgotten),
-        TEST(test_restored_spots_are_not_leased),
-        TEST(test_wholly_restored_job_is_done_at_once),
-        TEST(test_impossible_jobs_are_refused),
-        TEST(test_leases_have_no_deadline_before_ready),
-        TEST(test_draining_worker_finishes_and_says_so),
-        TEST(test_full_tables_say_no),
-        TEST(test_a_worker_that_joins_late_gets_work_at_once),
-        TEST(test_farm_info_counts),
-        TEST(test_limits_out_of_range_are_refused),
-        TEST(test_every_allocation_may_fail),
+        RIG_TEST(test_one_worker_renders_every_spot_once),
+        RIG_TEST(test_blocks_come_in_order_within_the_window),
+        RIG_TEST(test_first_units_are_small_then_last_a_second),
+        RIG_TEST(test_no_unit_exceeds_a_quarter_of_a_share),
+        RIG_TEST(test_unit_cells_max_is_kept),
+        RIG_TEST(test_worker_holds_threads_and_two),
+        RIG_TEST(test_long_round_trips_need_more_leases),
+        RIG_TEST(test_idle_threads_come_before_prefetch),
+        RIG_TEST(test_higher_priority_goes_first),
+        RIG_TEST(test_equals_share_the_threads),
+        RIG_TEST(test_paused_job_gets_no_lease_but_takes_results),
+        RIG_TEST(test_cancel_revokes_and_retry_goes_on),
+        RIG_TEST(test_removed_job_is_forgotten),
+        RIG_TEST(test_restored_spots_are_not_leased),
+        RIG_TEST(test_wholly_restored_job_is_done_at_once),
+        RIG_TEST(test_impossible_jobs_are_refused),
+        RIG_TEST(test_leases_have_no_deadline_before_ready),
+        RIG_TEST(test_draining_worker_finishes_and_says_so),
+        RIG_TEST(test_full_tables_say_no),
+        RIG_TEST(test_a_worker_that_joins_late_gets_work_at_once),
+        RIG_TEST(test_farm_info_counts),
+        RIG_TEST(test_limits_out_of_range_are_refused),
+        RIG_TEST(test_every_allocation_may_fail),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

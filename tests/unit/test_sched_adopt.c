@@ -6,22 +6,6 @@
 
 #include "tests/unit/sched_rig.h"
 
-static struct rig rig;
-
-static int start(void **state)
-{
-    (void)state;
-    rig_start(&rig, NULL);
-    return 0;
-}
-
-static int stop(void **state)
-{
-    (void)state;
-    rig_stop(&rig);
-    return 0;
-}
-
 /* The rig's first epoch is 1,000: what an earlier master gave is below. */
 static struct sched_held held_of(uint64_t epoch, uint32_t cell_begin, uint32_t cell_count,
                                  enum sched_held_state state)
@@ -265,21 +249,19 @@ static void test_more_than_a_worker_can_hold(void **state)
     assert_int_equal(rig_winfo(&rig, 1).leases, 256);
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, start, stop)
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(test_leases_outlive_the_master),
-        TEST(test_a_job_that_goes_on_waits_for_its_workers),
-        TEST(test_what_others_have_not_begun_comes_back),
-        TEST(test_what_others_have_begun_is_rendered_once_more_at_most),
-        TEST(test_what_is_done_is_not_wanted),
-        TEST(test_a_worker_comes_back_with_the_unit_it_was_lost_with),
-        TEST(test_a_check_goes_on),
-        TEST(test_nothing_false_is_believed),
-        TEST(test_a_liar_brings_nothing),
-        TEST(test_more_than_a_worker_can_hold),
+        RIG_TEST(test_leases_outlive_the_master),
+        RIG_TEST(test_a_job_that_goes_on_waits_for_its_workers),
+        RIG_TEST(test_what_others_have_not_begun_comes_back),
+        RIG_TEST(test_what_others_have_begun_is_rendered_once_more_at_most),
+        RIG_TEST(test_what_is_done_is_not_wanted),
+        RIG_TEST(test_a_worker_comes_back_with_the_unit_it_was_lost_with),
+        RIG_TEST(test_a_check_goes_on),
+        RIG_TEST(test_nothing_false_is_believed),
+        RIG_TEST(test_a_liar_brings_nothing),
+        RIG_TEST(test_more_than_a_worker_can_hold),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

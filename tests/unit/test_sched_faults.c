@@ -6,22 +6,6 @@
 
 #include "tests/unit/sched_rig.h"
 
-static struct rig rig;
-
-static int start(void **state)
-{
-    (void)state;
-    rig_start(&rig, NULL);
-    return 0;
-}
-
-static int stop(void **state)
-{
-    (void)state;
-    rig_stop(&rig);
-    return 0;
-}
-
 static bool unit_failed(uint64_t worker, uint64_t epoch)
 {
     return rig_feed(
@@ -751,39 +735,37 @@ static void test_reset_takes_cells_from_leases(void **state)
     assert_true(rig_info(&rig, 1).spots_done == 48);
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, start, stop)
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(test_lost_leases_go_to_others_at_once),
-        TEST(test_leaving_worker_takes_no_blame),
-        TEST(test_late_result_is_accepted_and_its_copy_revoked),
-        TEST(test_late_result_over_other_cuts),
-        TEST(test_results_that_fit_nothing_are_ignored),
-        TEST(test_result_beyond_the_window_is_ignored),
-        TEST(test_a_lease_that_is_late_goes_to_another),
-        TEST(test_faulty_worker_is_set_aside_for_longer_each_time),
-        TEST(test_a_unit_that_kills_fails_the_job_by_name),
-        TEST(test_a_busy_farm_empties_a_worker_for_a_suspect),
-        TEST(test_unfit_worker_pauses_and_job_fails),
-        TEST(test_loading_for_ever_is_unfit),
-        TEST(test_idle_worker_copies_the_slowest_lease),
-        TEST(test_a_suspect_does_not_wait_for_a_hung_worker),
-        TEST(test_lost_first_lease_leaves_its_copy),
-        TEST(test_every_unit_is_rendered_by_two),
-        TEST(test_a_check_waits_for_a_second_worker),
-        TEST(test_the_third_worker_finds_the_liar),
-        TEST(test_a_dispute_waits_for_a_third),
-        TEST(test_no_agreement_fails_the_job),
-        TEST(test_mismatch_of_a_late_copy_is_decided),
-        TEST(test_checks_outlive_cancel_and_retry),
-        TEST(test_a_late_check_is_a_vote_and_teaches),
-        TEST(test_a_voter_is_not_asked),
-        TEST(test_an_overdue_check_is_given_to_an_idle_worker),
-        TEST(test_cancel_revokes_copies_too),
-        TEST(test_reset_reopens_a_finished_job),
-        TEST(test_reset_takes_cells_from_leases),
+        RIG_TEST(test_lost_leases_go_to_others_at_once),
+        RIG_TEST(test_leaving_worker_takes_no_blame),
+        RIG_TEST(test_late_result_is_accepted_and_its_copy_revoked),
+        RIG_TEST(test_late_result_over_other_cuts),
+        RIG_TEST(test_results_that_fit_nothing_are_ignored),
+        RIG_TEST(test_result_beyond_the_window_is_ignored),
+        RIG_TEST(test_a_lease_that_is_late_goes_to_another),
+        RIG_TEST(test_faulty_worker_is_set_aside_for_longer_each_time),
+        RIG_TEST(test_a_unit_that_kills_fails_the_job_by_name),
+        RIG_TEST(test_a_busy_farm_empties_a_worker_for_a_suspect),
+        RIG_TEST(test_unfit_worker_pauses_and_job_fails),
+        RIG_TEST(test_loading_for_ever_is_unfit),
+        RIG_TEST(test_idle_worker_copies_the_slowest_lease),
+        RIG_TEST(test_a_suspect_does_not_wait_for_a_hung_worker),
+        RIG_TEST(test_lost_first_lease_leaves_its_copy),
+        RIG_TEST(test_every_unit_is_rendered_by_two),
+        RIG_TEST(test_a_check_waits_for_a_second_worker),
+        RIG_TEST(test_the_third_worker_finds_the_liar),
+        RIG_TEST(test_a_dispute_waits_for_a_third),
+        RIG_TEST(test_no_agreement_fails_the_job),
+        RIG_TEST(test_mismatch_of_a_late_copy_is_decided),
+        RIG_TEST(test_checks_outlive_cancel_and_retry),
+        RIG_TEST(test_a_late_check_is_a_vote_and_teaches),
+        RIG_TEST(test_a_voter_is_not_asked),
+        RIG_TEST(test_an_overdue_check_is_given_to_an_idle_worker),
+        RIG_TEST(test_cancel_revokes_copies_too),
+        RIG_TEST(test_reset_reopens_a_finished_job),
+        RIG_TEST(test_reset_takes_cells_from_leases),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

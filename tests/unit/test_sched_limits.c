@@ -12,8 +12,6 @@
 
 enum { CELLS = 40, BLOCKS = 12 };
 
-static struct rig rig;
-
 static const uint64_t weights[BLOCKS] = {2, 2, 6, 6, 2, 2, 2, 2, 4, 4, 8, 8};
 
 /* Four workers and an open job; limits[i] = base + i % spread. */

@@ -6,22 +6,6 @@
 
 #include "tests/unit/sched_rig.h"
 
-static struct rig rig;
-
-static int start(void **state)
-{
-    (void)state;
-    rig_start(&rig, NULL);
-    return 0;
-}
-
-static int stop(void **state)
-{
-    (void)state;
-    rig_stop(&rig);
-    return 0;
-}
-
 static const struct unit UNIT = {.cell_begin = 3, .cell_count = 4, .block = 0};
 
 static bool add_blamed(const struct sched_blame *blame, size_t count)
@@ -213,20 +197,18 @@ static void test_a_unit_alone_does_not_wait_for_a_hung_worker(void **state)
     assert_int_equal(rig_winfo(&rig, 1).timeouts, 0);
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, start, stop)
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(test_blame_is_kept),
-        TEST(test_a_failure_that_was_not_written_down),
-        TEST(test_blame_of_what_is_done_or_no_unit_is_ignored),
-        TEST(test_open_check_is_kept),
-        TEST(test_a_lie_of_an_earlier_life_is_found),
-        TEST(test_a_check_is_told_before_its_result),
-        TEST(test_a_liar_stays_out),
-        TEST(test_a_pause_goes_on_and_the_next_is_longer),
-        TEST(test_a_unit_alone_does_not_wait_for_a_hung_worker),
+        RIG_TEST(test_blame_is_kept),
+        RIG_TEST(test_a_failure_that_was_not_written_down),
+        RIG_TEST(test_blame_of_what_is_done_or_no_unit_is_ignored),
+        RIG_TEST(test_open_check_is_kept),
+        RIG_TEST(test_a_lie_of_an_earlier_life_is_found),
+        RIG_TEST(test_a_check_is_told_before_its_result),
+        RIG_TEST(test_a_liar_stays_out),
+        RIG_TEST(test_a_pause_goes_on_and_the_next_is_longer),
+        RIG_TEST(test_a_unit_alone_does_not_wait_for_a_hung_worker),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
