@@ -158,19 +158,25 @@ static inline void bvh_run(const struct accel_runner *runner, size_t count,
         fn(arg, i);
 }
 
+static inline const void *bvh_at(const unsigned char *arena, uint32_t ref)
+{
+    const uint32_t kind = (1 << BVH_KIND_BITS) - 1;
+    return arena + (size_t)(ref & ~kind) * (BVH_UNIT_BYTES >> BVH_KIND_BITS);
+}
+
 static inline const struct bvh_node *bvh_node_at(const unsigned char *arena, uint32_t ref)
 {
-    return (const struct bvh_node *)(arena + (size_t)(ref >> BVH_KIND_BITS) * BVH_UNIT_BYTES);
+    return (const struct bvh_node *)bvh_at(arena, ref);
 }
 
 static inline const struct bvh_leaf *bvh_leaf_at(const unsigned char *arena, uint32_t ref)
 {
-    return (const struct bvh_leaf *)(arena + (size_t)(ref >> BVH_KIND_BITS) * BVH_UNIT_BYTES);
+    return (const struct bvh_leaf *)bvh_at(arena, ref);
 }
 
 static inline const struct bvh_packed *bvh_packed_at(const unsigned char *arena, uint32_t ref)
 {
-    return (const struct bvh_packed *)(arena + (size_t)(ref >> BVH_KIND_BITS) * BVH_UNIT_BYTES);
+    return (const struct bvh_packed *)bvh_at(arena, ref);
 }
 
 #endif

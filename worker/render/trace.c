@@ -34,7 +34,7 @@ static inline void slabs_ready(struct trace_ray *r, __m128 org, __m128 dir, floa
     memcpy(r->far_offset, out[2], sizeof r->far_offset);
     uint32_t back = (uint32_t)_mm_movemask_ps(signs);
     for (uint32_t k = 0; k < 3; k++)
-        r->row[k] = 2 * k + (back >> k & 1);
+        r->row[k] = TRACE_ROW * (2 * k + (back >> k & 1));
 }
 
 bool trace_ray_init(const double org[3], const double dir[3], double outer, double reach,
@@ -83,10 +83,12 @@ bool trace_ray_init(const double org[3], const double dir[3], double outer, doub
     out->filter_shear[1] = (float)out->shear[1];
     out->filter_shear[2] = (float)out->shear[2];
     out->filter_slack = (float)(0x1p-20 * size);
-    out->filter_depth = __builtin_fabsf(out->filter_shear[2]) * out->filter_slack;
-    /* The last term covers products that underflow. */
+    out->filter_shear[3] = -out->filter_shear[2];
+    out->filter_spread = 13.8f * __builtin_fabsf(out->filter_shear[2]);
+    out->filter_depth = 2.0f * __builtin_fabsf(out->filter_shear[2]) * out->filter_slack;
     out->filter_slope = (float)(100.0 * 0x1p-24 * size);
-    out->filter_floor = (float)(256.0 * 0x1p-48 * size * size + 0x1p-140);
+    /* 256 u^2 R^2; the last term covers products that underflow. */
+    out->filter_floor = out->filter_slack * out->filter_slack + 0x1p-105f;
     /* The pad is rounded twice: a ninth unit covers that. */
     slabs_ready(out, _mm_setr_ps((float)org[0], (float)org[1], (float)org[2], 0.0f),
                 _mm_setr_ps((float)out->dir[0], (float)out->dir[1], (float)out->dir[2], 0.0f),

@@ -16,22 +16,26 @@
 
 #include "worker/render/bvh.h"
 
+enum { TRACE_ROW = BVH_WIDTH * sizeof(float) };
+
 /* Arrays of four have an element of padding, for whole vectors to be stored. */
 struct trace_ray {
     double org[4], dir[4];
     double porg[4], pdir[4]; /* permuted: the largest component of dir last */
     double shear[4];         /* Woop's Sx, Sy, Sz */
     float near_offset[4], far_offset[4], inverse[4]; /* t = plane * inverse - offset */
-    float filter_org[4], filter_shear[4];            /* permuted */
-    uint32_t row[4];  /* row of bvh_node.bounds with the near planes; row ^ 1 has the far ones */
+    float filter_org[4], filter_shear[4];            /* permuted; shear[3] is -shear[2] */
+    uint32_t row[4];  /* bytes to the row of bvh_node.bounds with the near planes; those of the far
+                         ones are TRACE_ROW bytes before or behind: row ^ TRACE_ROW */
     uint32_t axis[4]; /* what was permuted to where */
     double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R */
     double rescale, unscale; /* what dir was scaled by here, and its inverse */
     double scale; /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
-    float filter_depth;               /* a triangle's depths are wrong by less than this in float */
-    float filter_slack;               /* 2^-20 R */
-    float filter_slope, filter_floor; /* of a block with edges <= e: an edge function's float error
-                                         is below slope * e + floor */
+    float filter_slope; /* of a block with edges <= e: an edge function's float error is below */
+    float filter_slack; /* slope * e + floor; slack: 2^-20 R */
+    float filter_floor;
+    float filter_depth;  /* twice what a triangle's depths may be wrong by in float */
+    float filter_spread; /* 13.8 |shear[2]| */
 } __attribute__((aligned(32)));
 
 /* The best hit so far. `object` is SCENE_NONE for a triangle of the scene's own tree,
@@ -47,7 +51,7 @@ struct trace_best {
 };
 
 /* Of unpacked leaves, three are looked at once: the best hit's, the pending one and the next. */
-enum { TRACE_ROOM = 3 };
+enum { TRACE_ROOM = 4 };
 
 /* Units of 2^-24 R by which boxes are widened; where float decides, by its errors too. */
 enum { TRACE_PAD = 9, TRACE_PAD_FAST = 41 };

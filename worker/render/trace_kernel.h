@@ -39,20 +39,24 @@ static inline void slabs_init(struct slabs *s, const struct trace_ray *r)
     }
 }
 
+/* The boxes' planes that a row's bytes lead to. */
+static inline f8 node_planes(const struct bvh_node *node, uint32_t row)
+{
+    return f8_load((const float *)((const char *)node + row));
+}
+
 /* Which children's widened boxes the ray meets within [from, to], and where it enters. */
 static inline unsigned node_meet(const struct bvh_node *node, const struct slabs *s,
                                  const uint32_t row[3], f8 from, f8 to, f8 *entry)
 {
-    f8 x0 = f8_mulsub(f8_load(node->bounds[row[0]]), s->inverse[0], s->near_offset[0]);
-    f8 y0 = f8_mulsub(f8_load(node->bounds[row[1]]), s->inverse[1], s->near_offset[1]);
-    f8 z0 = f8_mulsub(f8_load(node->bounds[row[2]]), s->inverse[2], s->near_offset[2]);
-    f8 x1 = f8_mulsub(f8_load(node->bounds[row[0] ^ 1]), s->inverse[0], s->far_offset[0]);
-    f8 y1 = f8_mulsub(f8_load(node->bounds[row[1] ^ 1]), s->inverse[1], s->far_offset[1]);
-    f8 z1 = f8_mulsub(f8_load(node->bounds[row[2] ^ 1]), s->inverse[2], s->far_offset[2]);
-    f8 near = f8_max(x0, f8_max(y0, f8_max(z0, from)));
-    f8 far = f8_min(x1, f8_min(y1, f8_min(z1, to)));
-    *entry = near;
-    return f8_less_equal(near, far);
+    f8 near[3], far[3];
+    for (int k = 0; k < 3; k++) {
+        near[k] = f8_mulsub(node_planes(node, row[k]), s->inverse[k], s->near_offset[k]);
+        far[k] = f8_mulsub(node_planes(node, row[k] ^ TRACE_ROW), s->inverse[k], s->far_offset[k]);
+    }
+    /* In pairs, which takes less time; what is not a number is ignored, and what it met with it. */
+    *entry = f8_max(f8_max(near[0], near[1]), f8_max(near[2], from));
+    return f8_less_equal(*entry, f8_min(f8_min(far[0], far[1]), f8_min(far[2], to)));
 }
 
 static inline void prefetch(const unsigned char *arena, uint32_t ref)
@@ -68,12 +72,12 @@ static inline void prefetch(const unsigned char *arena, uint32_t ref)
 
 #ifdef TRACE_COMPACT
 
-/* A leaf that neither the best hit nor the pending one is in. */
+/* A leaf that neither the best hit nor a pending one is in. */
 static inline struct bvh_leaf *leaf_room(const struct trace_best *best,
                                          const struct leaf_pending *pending)
 {
     struct bvh_leaf *room = best->room;
-    while (room == best->leaf || room == pending->leaf)
+    while (room == best->leaf || room == pending->leaf || room == pending->open)
         room++;
     return room;
 }
@@ -159,7 +163,7 @@ static inline uint32_t waiting_key(const struct accel *a, uint32_t number,
 {
     const float *box = a->lazy->boxes[number];
     for (int k = 0; k < 3; k++) {
-        float near = box[r->row[k]] * r->inverse[k] - r->near_offset[k];
+        float near = box[r->row[k] / TRACE_ROW] * r->inverse[k] - r->near_offset[k];
         from = near > from ? near : from;
     }
     return float_bits(from) & ~(uint32_t)KEY_SLOT_MASK;
@@ -211,18 +215,20 @@ static inline enum waiting object_waits(const struct accel *a, const struct trac
 
 /* --- One ray -------------------------------------------------------------- */
 
+/* Leaves the nearest certain hit in `out`, to be settled. */
 static inline void walk_closest(const struct accel *a, const struct bvh *tree,
                                 const struct trace_ray *r, double tmin, uint32_t object,
-                                struct trace_best *best)
+                                struct leaf_pending *out, struct trace_best *best)
 {
-    uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
+    uint32_t keys[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
+    uint32_t refs[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
     struct slabs slabs;
     slabs_init(&slabs, r);
     struct leaf_span span = leaf_span_of(tmin, best->t);
-    struct leaf_pending pending = {.leaf = NULL};
+    struct leaf_pending pending = {.leaf = NULL, .open = NULL};
     f8 from = f8_splat(span.from), entry;
     enum waiting waits;
     for (;;) {
@@ -235,15 +241,11 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
                 break;
             if ((mask & (mask - 1)) == 0) {
                 ref = node->child[__builtin_ctz(mask)];
-                prefetch(arena, ref);
                 continue;
             }
             unsigned count = (unsigned)__builtin_popcount(mask);
-            unsigned nearest =
-                children_sort(entry, mask, count, node->child, keys + top, refs + top);
+            ref = children_sort(entry, mask, count, node->child, keys + top, refs + top);
             top += count - 1;
-            ref = node->child[nearest];
-            prefetch(arena, ref);
             prefetch(arena, refs[top - 1]);
             continue;
         }
@@ -259,7 +261,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
                 continue;
             if (waits == WAITING_PUT_OFF)
                 break;
-            pending_settle(a, r, tmin, object, &pending, best);
+            pending_settle_early(a, r, tmin, object, &pending, best);
             object_closest(a, r, tmin, ref >> BVH_KIND_BITS, best);
             span.to = round_up(best->t);
             break;
@@ -270,7 +272,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
         uint32_t limit = float_bits(span.to);
         do {
             if (top == 0) {
-                pending_settle(a, r, tmin, object, &pending, best);
+                *out = pending;
                 return;
             }
             top--;
@@ -279,10 +281,13 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
     }
 }
 
-static inline bool walk_any(const struct accel *a, const struct bvh *tree,
-                            const struct trace_ray *r, double tmin, double tmax)
+static inline __attribute__((always_inline)) bool walk_any(const struct accel *a,
+                                                           const struct bvh *tree,
+                                                           const struct trace_ray *r, double tmin,
+                                                           double tmax)
 {
-    uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
+    uint32_t keys[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
+    uint32_t refs[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
@@ -302,16 +307,12 @@ static inline bool walk_any(const struct accel *a, const struct bvh *tree,
                 break;
             if ((mask & (mask - 1)) == 0) {
                 ref = node->child[__builtin_ctz(mask)];
-                prefetch(arena, ref);
                 continue;
             }
             /* What is near blocks more often than what is far: that pays for sorting. */
             unsigned count = (unsigned)__builtin_popcount(mask);
-            unsigned nearest =
-                children_sort(entry, mask, count, node->child, keys + top, refs + top);
+            ref = children_sort(entry, mask, count, node->child, keys + top, refs + top);
             top += count - 1;
-            ref = node->child[nearest];
-            prefetch(arena, ref);
             prefetch(arena, refs[top - 1]);
             continue;
         }
@@ -344,7 +345,9 @@ static __attribute__((noinline)) void mesh_closest(const struct accel *a, const 
                                                    const struct trace_ray *r, double tmin,
                                                    uint32_t object, struct trace_best *best)
 {
-    walk_closest(a, tree, r, tmin, object, best);
+    struct leaf_pending pending;
+    walk_closest(a, tree, r, tmin, object, &pending, best);
+    pending_settle(a, r, tmin, object, &pending, best);
 }
 
 static __attribute__((noinline)) bool mesh_any(const struct accel *a, const struct bvh *tree,
@@ -364,7 +367,7 @@ static void kernel_closest(const struct accel *a, const struct ray *ray, struct 
         return;
     }
     if (ready_scene_ray(a, ray, &ready, &tmin, &best.t))
-        walk_closest(a, &a->scene_tree, &ready, tmin, SCENE_NONE, &best);
+        mesh_closest(a, &a->scene_tree, &ready, tmin, SCENE_NONE, &best);
     if (best.found)
         ready_hit(a, &ready, &best, out);
     else
@@ -381,6 +384,75 @@ static bool kernel_occluded(const struct accel *a, const struct ray *ray)
            walk_any(a, &a->scene_tree, &ready, tmin, tmax);
 }
 
+/* --- Many rays, few triangles ---------------------------------------------- */
+
+/* Where all of a tree stays close there is nothing to wait for but one ray's own chain of
+ * operations: so rays are readied together, walked one by one, and finished together, each of which
+ * the processor overlaps better than all three in turn. */
+struct guest {
+    struct trace_ray ray;
+    struct trace_best best;
+    struct leaf_pending pending;
+    double tmin;
+    bool walks;
+#ifdef TRACE_COMPACT
+    struct bvh_leaf room[TRACE_ROOM];
+#endif
+};
+
+#ifdef TRACE_COMPACT
+#define ROOM_OF(s) ((s)->room)
+#else
+#define ROOM_OF(s) NULL
+#endif
+
+static void guests_ready(struct guest *guests, const struct accel *a, const struct ray *rays,
+                         size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        struct guest *g = &guests[i];
+        g->best =
+            (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = ROOM_OF(g)};
+        g->walks =
+            rays[i].tmin >= 0.0 && ready_scene_ray(a, &rays[i], &g->ray, &g->tmin, &g->best.t);
+    }
+}
+
+static void few_closest(const struct accel *a, const struct ray *rays, size_t count,
+                        struct hit *hits)
+{
+    struct guest guests[TRACE_BATCH];
+    guests_ready(guests, a, rays, count);
+    for (size_t i = 0; i < count; i++) {
+        struct guest *g = &guests[i];
+        if (g->walks)
+            walk_closest(a, &a->scene_tree, &g->ray, g->tmin, SCENE_NONE, &g->pending, &g->best);
+    }
+    for (size_t i = 0; i < count; i++) {
+        struct guest *g = &guests[i];
+        if (g->walks)
+            pending_settle(a, &g->ray, g->tmin, SCENE_NONE, &g->pending, &g->best);
+        if (g->best.found)
+            ready_hit(a, &g->ray, &g->best, &hits[i]);
+        else if (rays[i].tmin < 0.0)
+            trace_plain.closest(a, &rays[i], &hits[i]);
+        else
+            hits[i].object = SCENE_NONE;
+    }
+}
+
+static void few_occluded(const struct accel *a, const struct ray *rays, size_t count,
+                         uint8_t *occluded)
+{
+    struct guest guests[TRACE_BATCH];
+    guests_ready(guests, a, rays, count);
+    for (size_t i = 0; i < count; i++) {
+        const struct guest *g = &guests[i];
+        occluded[i] = g->walks ? walk_any(a, &a->scene_tree, &g->ray, g->tmin, g->best.t)
+                               : rays[i].tmin < 0.0 && trace_plain.occluded(a, &rays[i]);
+    }
+}
+
 /* --- Many rays ------------------------------------------------------------ */
 
 /* A ray under way. */
@@ -395,26 +467,21 @@ struct runner {
 #ifdef TRACE_COMPACT
     struct bvh_leaf room[TRACE_ROOM];
 #endif
-    uint32_t keys[BVH_STACK + STACK_SLACK], refs[BVH_STACK + STACK_SLACK];
+    uint32_t keys[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
+    uint32_t refs[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
 };
-
-#ifdef TRACE_COMPACT
-#define RUNNER_ROOM(s) ((s)->room)
-#else
-#define RUNNER_ROOM(s) NULL
-#endif
 
 /* Readies the next ray that needs a walk; false when there is none left. */
 static bool runner_start(struct runner *s, const struct accel *a, const struct ray *ray)
 {
     s->best =
-        (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = RUNNER_ROOM(s)};
+        (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = ROOM_OF(s)};
     double tmin;
     if (!ready_scene_ray(a, ray, &s->ray, &tmin, &s->best.t))
         return false;
     slabs_init(&s->slabs, &s->ray);
     s->span = leaf_span_of(tmin, s->best.t);
-    s->pending.leaf = NULL;
+    s->pending.leaf = s->pending.open = NULL;
     s->ref = a->scene_tree.root;
     s->top = s->put_off = 0;
     return true;
@@ -433,14 +500,13 @@ static inline bool runner_step_closest(struct runner *s, const struct accel *a, 
                                   f8_splat(s->span.to), &entry);
         if (!mask)
             break;
-        unsigned count = (unsigned)__builtin_popcount(mask), nearest;
+        unsigned count = (unsigned)__builtin_popcount(mask);
         if (count == 1)
-            nearest = (unsigned)__builtin_ctz(mask);
+            s->ref = node->child[__builtin_ctz(mask)];
         else
-            nearest =
+            s->ref =
                 children_sort(entry, mask, count, node->child, s->keys + s->top, s->refs + s->top);
         s->top += count - 1;
-        s->ref = node->child[nearest];
         prefetch(arena, s->ref);
         return true;
     }
@@ -549,9 +615,9 @@ static bool closest_next(struct runner *s, const struct accel *a, const struct r
 static void kernel_closest_batch(const struct accel *a, const struct ray *rays, size_t count,
                                  struct hit *hits)
 {
-    if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) { /* nothing to wait for */
-        for (size_t i = 0; i < count; i++)
-            kernel_closest(a, &rays[i], &hits[i]);
+    if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) {
+        for (size_t i = 0; i < count; i += TRACE_BATCH)
+            few_closest(a, rays + i, count - i < TRACE_BATCH ? count - i : TRACE_BATCH, hits + i);
         return;
     }
     struct runner runners[TRACE_BATCH];
@@ -596,8 +662,9 @@ static void kernel_occluded_batch(const struct accel *a, const struct ray *rays,
                                   uint8_t *occluded)
 {
     if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) {
-        for (size_t i = 0; i < count; i++)
-            occluded[i] = kernel_occluded(a, &rays[i]);
+        for (size_t i = 0; i < count; i += TRACE_BATCH)
+            few_occluded(a, rays + i, count - i < TRACE_BATCH ? count - i : TRACE_BATCH,
+                         occluded + i);
         return;
     }
     struct runner runners[TRACE_BATCH];

@@ -8,8 +8,7 @@
 #ifndef WORKER_RENDER_TRACE_LEAF_H
 #define WORKER_RENDER_TRACE_LEAF_H
 
-#include "worker/render/trace_exact.h"
-#include "worker/render/trace_ready.h"
+#include "worker/render/trace_lane.h"
 
 #ifdef TRACE_COUNT
 extern uint64_t trace_count_nodes, trace_count_leaves, trace_count_decisions;
@@ -21,7 +20,7 @@ extern uint64_t trace_count_nodes, trace_count_leaves, trace_count_decisions;
 /* A float not below x >= 0, and close to it. */
 static inline float round_up(double x)
 {
-    return (float)(x * (1.0 + 0x1p-22) + 0x1p-148);
+    return (float)(x * (1.0 + 0x1p-22) + 0x1p-120);
 }
 
 /* A float not above x >= 0. */
@@ -40,15 +39,17 @@ static inline uint32_t float_bits(float f)
 
 /* --- In float --------------------------------------------------------------- */
 
-/* Of four triangles: edge functions, their least and most, and by what they may be wrong;
- * the vertices' z; vertex 0 as the ray sees it. */
+/* Of four triangles. Coordinates are the origin's less the vertices': the leaf's are operands
+ * straight from memory then, and no product changes. */
 struct leaf_edges {
-    f4 u, v, w, least, most, error;
-    f4 z[3], x, y;
+    f4 u, v, w;    /* edge functions */
+    f4 agree;      /* positive: the least of their sizes, all of one sign; negative: mixed */
+    f4 z[3], x, y; /* the vertices' depths; vertex 0 as the ray sees it */
 #ifdef TRACE_FAST
     f4 beside; /* the largest |x| or |y| of the vertices as the ray sees them */
 #endif
-    float edge; /* the largest extent of any of the triangles, rounded up */
+    float error; /* by what the functions may be wrong */
+    float edge;  /* the largest extent of any of the triangles, rounded up */
 };
 
 /* The largest extent, from the code in the ids. */
@@ -72,10 +73,11 @@ static inline unsigned leaf_filter(const struct trace_ray *r, const struct bvh_l
     for (int k = 0; k < 3; k++)
         org[k] = _mm_set1_ps(r->filter_org[k]);
     f4 sx = _mm_set1_ps(r->filter_shear[0]), sy = _mm_set1_ps(r->filter_shear[1]);
+    const float(*v)[3][BVH_BLOCK] = leaf->v;
     for (int i = 0; i < 3; i++) {
-        f4 z = _mm_sub_ps(_mm_load_ps(leaf->v[i][r->axis[2]]), org[2]);
-        x[i] = f4_nmuladd(sx, z, _mm_sub_ps(_mm_load_ps(leaf->v[i][r->axis[0]]), org[0]));
-        y[i] = f4_nmuladd(sy, z, _mm_sub_ps(_mm_load_ps(leaf->v[i][r->axis[1]]), org[1]));
+        f4 z = _mm_sub_ps(org[2], _mm_load_ps(v[i][r->axis[2]]));
+        x[i] = f4_nmuladd(sx, z, _mm_sub_ps(org[0], _mm_load_ps(v[i][r->axis[0]])));
+        y[i] = f4_nmuladd(sy, z, _mm_sub_ps(org[1], _mm_load_ps(v[i][r->axis[1]])));
         e->z[i] = z;
     }
 #ifdef TRACE_FAST
@@ -91,54 +93,14 @@ static inline unsigned leaf_filter(const struct trace_ray *r, const struct bvh_l
     e->v = f4_mulsub(x[0], y[2], _mm_mul_ps(y[0], x[2]));
     e->w = f4_mulsub(x[1], y[0], _mm_mul_ps(y[1], x[0]));
     e->edge = leaf_edge(leaf, edge_bits);
-    e->error = _mm_set1_ps(r->filter_slope * e->edge + r->filter_floor);
-    e->least = _mm_min_ps(e->u, _mm_min_ps(e->v, e->w));
-    e->most = _mm_max_ps(e->u, _mm_max_ps(e->v, e->w));
-    f4 both = _mm_and_ps(f4_less_mask(e->least, _mm_sub_ps(_mm_setzero_ps(), e->error)),
-                         f4_less_mask(e->error, e->most));
-    return ~(unsigned)_mm_movemask_ps(both) & 0xf;
+    e->error = r->filter_slope * e->edge + r->filter_floor;
+    f4 least = _mm_min_ps(e->u, _mm_min_ps(e->v, e->w));
+    f4 most = _mm_max_ps(e->u, _mm_max_ps(e->v, e->w));
+    e->agree = _mm_max_ps(f4_negative(most), least);
+    return ~m4_bits(f4_less(e->agree, _mm_set1_ps(-e->error))) & 0xf;
 }
 
 /* --- In double -------------------------------------------------------------- */
-
-/* What an accepted lane gave: t, and the edge functions of vertices 1 and 2 and their sum. */
-struct leaf_hit {
-    double t, v, w, det;
-};
-
-/* exact_woop, from the vertices as the leaf has them. */
-static inline bool lane_woop(const struct trace_ray *r, const struct bvh_leaf *leaf, unsigned lane,
-                             struct leaf_hit *out)
-{
-    float v[3][3];
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++)
-            v[i][k] = leaf->v[i][k][lane];
-    struct exact_edges e;
-    if (!exact_woop(r, v, &e, &out->t))
-        return false;
-    out->v = e.v;
-    out->w = e.w;
-    out->det = e.det;
-    return true;
-}
-
-/* The same for a lane that is certain to be accepted: then its point is within the box of
- * the triangle, and edge functions need no look at their signs. */
-static inline void lane_certain(const struct trace_ray *r, const struct bvh_leaf *leaf,
-                                unsigned lane, struct leaf_hit *out)
-{
-    float v[3][3];
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++)
-            v[i][k] = leaf->v[i][r->axis[k]][lane];
-    struct exact_edges e;
-    exact_edges_permuted(r, v, &e);
-    out->t = exact_depth(&e) * r->shear[2];
-    out->v = e.v;
-    out->w = e.w;
-    out->det = e.det;
-}
 
 static inline void leaf_offer(const struct accel *a, const struct leaf_hit *hit, double tmin,
                               uint32_t object, const struct bvh_leaf *leaf, uint32_t lane,
@@ -147,16 +109,17 @@ static inline void leaf_offer(const struct accel *a, const struct leaf_hit *hit,
     uint32_t primitive = leaf->id[lane] & (BVH_PRIMITIVES_MAX - 1);
     if (!accel_offer(a, hit->t, tmin, object, primitive, leaf, lane, best))
         return;
-    best->v = hit->v;
-    best->w = hit->w;
+    _Static_assert(offsetof(struct trace_best, w) ==
+                       offsetof(struct trace_best, v) + sizeof(double),
+                   "one store, since they are loaded together soon");
+    _mm_storeu_pd(&best->v, hit->vw);
     best->det = hit->det;
 }
 
 /* Offers what the lanes give to the best hit. */
-static __attribute__((noinline)) void leaf_decide(const struct accel *a, const struct trace_ray *r,
-                                                  const struct bvh_leaf *leaf, unsigned lanes,
-                                                  double tmin, uint32_t object,
-                                                  struct trace_best *best)
+static inline void leaf_decide(const struct accel *a, const struct trace_ray *r,
+                               const struct bvh_leaf *leaf, unsigned lanes, double tmin,
+                               uint32_t object, struct trace_best *best)
 {
     for (; lanes; lanes &= lanes - 1) {
         unsigned lane = (unsigned)__builtin_ctz(lanes);
@@ -167,9 +130,8 @@ static __attribute__((noinline)) void leaf_decide(const struct accel *a, const s
     }
 }
 
-static __attribute__((noinline)) bool leaf_decide_any(const struct trace_ray *r,
-                                                      const struct bvh_leaf *leaf, unsigned lanes,
-                                                      double tmin, double tmax)
+static inline bool leaf_decide_any(const struct trace_ray *r, const struct bvh_leaf *leaf,
+                                   unsigned lanes, double tmin, double tmax)
 {
     for (; lanes; lanes &= lanes - 1) {
         struct leaf_hit hit;

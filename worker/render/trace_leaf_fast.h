@@ -81,10 +81,11 @@ static inline bool leaf_decide_float(const struct trace_ray *r, const struct bvh
     const f4 zero = _mm_setzero_ps();
     struct leaf_edges e;
     leaf_filter(r, leaf, edge_bits, &e);
-    f4 mixed = _mm_and_ps(f4_less_mask(e.least, zero), f4_less_mask(zero, e.most));
-    unsigned lanes = ~(unsigned)_mm_movemask_ps(mixed) & 0xf;
+    unsigned lanes = ~m4_bits(f4_less(e.agree, zero)) & 0xf;
     if (!lanes)
         return false;
+    for (int i = 0; i < 3; i++)
+        e.z[i] = f4_negative(e.z[i]);
     f4 det = _mm_add_ps(_mm_add_ps(e.u, e.v), e.w);
     f4 inverse = _mm_div_ps(_mm_set1_ps(1.0f), det);
     f4 sum = _mm_add_ps(_mm_mul_ps(e.u, e.z[0]), _mm_mul_ps(e.v, e.z[1]));
@@ -114,6 +115,21 @@ static inline bool leaf_decide_float(const struct trace_ray *r, const struct bvh
     return (out->open | out->accepted) != 0;
 }
 
+/* What is left to double. */
+static __attribute__((noinline)) bool leaf_open_any(const struct trace_ray *r,
+                                                    const struct bvh_leaf *leaf, unsigned lanes,
+                                                    double tmin, double tmax)
+{
+    return leaf_decide_any(r, leaf, lanes, tmin, tmax);
+}
+
+static __attribute__((noinline)) void
+leaf_open_closest(const struct accel *a, const struct trace_ray *r, const struct bvh_leaf *leaf,
+                  unsigned lanes, double tmin, uint32_t object, struct trace_best *best)
+{
+    leaf_decide(a, r, leaf, lanes, tmin, object, best);
+}
+
 /* Does any of the four triangles block the span, which ends at tmax? */
 static inline bool leaf_blocks(const struct trace_ray *r, const struct bvh_leaf *leaf,
                                uint32_t edge_bits, const struct leaf_span *s, double tmax)
@@ -121,18 +137,25 @@ static inline bool leaf_blocks(const struct trace_ray *r, const struct bvh_leaf 
     struct leaf_float f;
     if (!leaf_decide_float(r, leaf, edge_bits, s, &f))
         return false;
-    return f.accepted || leaf_decide_any(r, leaf, f.open, s->tmin, tmax);
+    return f.accepted || leaf_open_any(r, leaf, f.open, s->tmin, tmax);
 }
 
 /* Nothing waits here. */
 struct leaf_pending {
-    const struct bvh_leaf *leaf;
+    const struct bvh_leaf *leaf, *open;
 };
 
 static inline void pending_settle(const struct accel *a, const struct trace_ray *r, double tmin,
                                   uint32_t object, struct leaf_pending *p, struct trace_best *best)
 {
     (void)a, (void)r, (void)tmin, (void)object, (void)p, (void)best;
+}
+
+static inline void pending_settle_early(const struct accel *a, const struct trace_ray *r,
+                                        double tmin, uint32_t object, struct leaf_pending *p,
+                                        struct trace_best *best)
+{
+    pending_settle(a, r, tmin, object, p, best);
 }
 
 /* Four triangles against the best hit so far. */
@@ -152,12 +175,12 @@ static inline void leaf_closest(const struct accel *a, const struct trace_ray *r
     _mm_storeu_ps(det, f.det);
     for (unsigned lanes = f.accepted; lanes; lanes &= lanes - 1) {
         uint32_t lane = (uint32_t)__builtin_ctz(lanes);
-        struct leaf_hit hit = {(double)t[lane], (double)v[lane], (double)w[lane],
+        struct leaf_hit hit = {_mm_setr_pd((double)v[lane], (double)w[lane]), (double)t[lane],
                                (double)det[lane]};
         leaf_offer(a, &hit, s->tmin, object, leaf, lane, best);
     }
     if (__builtin_expect(f.open, 0))
-        leaf_decide(a, r, leaf, f.open, s->tmin, object, best);
+        leaf_open_closest(a, r, leaf, f.open, s->tmin, object, best);
     s->to = round_up(best->t);
 }
 

@@ -45,8 +45,9 @@ static bool box_hit(const struct trace_ray *ray, const struct bvh_node *node, in
                     float to, float *entry)
 {
     for (int k = 0; k < 3; k++) {
-        float near = node->bounds[ray->row[k]][slot] * ray->inverse[k] - ray->near_offset[k];
-        float far = node->bounds[ray->row[k] ^ 1][slot] * ray->inverse[k] - ray->far_offset[k];
+        uint32_t row = ray->row[k] / TRACE_ROW;
+        float near = node->bounds[row][slot] * ray->inverse[k] - ray->near_offset[k];
+        float far = node->bounds[row ^ 1][slot] * ray->inverse[k] - ray->far_offset[k];
         from = near > from ? near : from;
         to = far < to ? far : to;
     }

@@ -16,6 +16,12 @@
 
 #ifdef __AVX2__
 
+#ifdef TRACE_FAST
+#define READY_PAD TRACE_PAD_FAST
+#else
+#define READY_PAD TRACE_PAD
+#endif
+
 /* By the axis of the largest component: the double lanes x, y, z of the permuted space. */
 static const int32_t ready_lanes[3][8] __attribute__((aligned(32))) = {
     {2, 3, 4, 5, 0, 1, 6, 7},
@@ -58,6 +64,14 @@ static inline d4 ready_load(const double p[3])
     return _mm256_insertf128_pd(_mm256_castpd128_pd256(xy), _mm_load_sd(&p[2]), 1);
 }
 
+/* Three floats of a leaf as a vector. Reads 16 bytes from each, of which the leaf has enough: a
+ * load of one float alone would not become part of the insertion. */
+static inline f4 ready_three(const float *x, const float *y, const float *z)
+{
+    f4 xy = _mm_insert_ps(_mm_load_ss(x), _mm_loadu_ps(y), 0x10);
+    return _mm_insert_ps(xy, _mm_loadu_ps(z), 0x20);
+}
+
 /* The planes of boxes: near and far constants, and their rows. */
 static inline void ready_slabs(struct trace_ray *out, f4 org, f4 dir, f4 pad_size)
 {
@@ -69,14 +83,18 @@ static inline void ready_slabs(struct trace_ray *out, f4 org, f4 dir, f4 pad_siz
     _mm_store_ps(out->inverse, inverse);
     _mm_store_ps(out->near_offset, _mm_mul_ps(_mm_add_ps(org, pad), inverse));
     _mm_store_ps(out->far_offset, _mm_mul_ps(_mm_sub_ps(org, pad), inverse));
-    __m128i back = _mm_srli_epi32(_mm_castps_si128(dir), 31);
-    _mm_store_si128((__m128i *)out->row, _mm_add_epi32(back, _mm_setr_epi32(0, 2, 4, 0)));
+    __m128i back =
+        _mm_and_si128(_mm_srai_epi32(_mm_castps_si128(dir), 31), _mm_set1_epi32(TRACE_ROW));
+    const __m128i low = _mm_setr_epi32(0, 2 * TRACE_ROW, 4 * TRACE_ROW, 0);
+    _mm_store_si128((__m128i *)out->row, _mm_add_epi32(back, low));
 }
 
 /* trace_ray_init for a finite org, whose fourth lane, as dir's, may hold anything. */
-static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, double pad,
-                             struct trace_ray *out)
+static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct trace_ray *out)
 {
+    _Static_assert(offsetof(struct trace_ray, filter_slack) ==
+                       offsetof(struct trace_ray, filter_slope) + sizeof(float),
+                   "slope and slack in one store");
     const d4 infinite = d4_splat(__builtin_inf());
     d4 size = ready_abs(dir), most = ready_largest(size);
     unsigned finite = d4_mask(d4_and(d4_less(size, infinite), d4_less(ready_abs(org), infinite)));
@@ -100,7 +118,7 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, double 
     }
     __m256i lanes = _mm256_load_si256((const __m256i *)ready_lanes[z]);
     d4 porg = ready_permute(org, lanes), pdir = ready_permute(scaled, lanes);
-    d4 top = _mm256_blend_pd(pdir, d4_splat(1.0), 0xc);
+    d4 top = _mm256_blend_pd(pdir, _mm256_setr_pd(1.0, 1.0, 1.0, -1.0), 0xc);
     d4 shear = d4_div(top, _mm256_permute4x64_pd(pdir, 0xaa));
     _mm256_store_pd(out->org, org);
     _mm256_store_pd(out->dir, scaled);
@@ -110,27 +128,27 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, double 
     _mm_store_si128((__m128i *)out->axis, _mm_load_si128((const __m128i *)ready_axis[z]));
     d4 far = d4_add(ready_largest(ready_abs(org)), d4_splat(reach));
     far = _mm256_permute4x64_pd(far, 0);
-    d4 bounds = d4_mul(far, _mm256_setr_pd(0x1p-30, 0x1p-20, 100.0 * 0x1p-24, pad * 0x1p-24));
+    d4 bounds = d4_mul(far, _mm256_setr_pd(0x1p-30, READY_PAD * 0x1p-24, 100.0 * 0x1p-24, 0x1p-20));
     f4 bounds_f = _mm256_cvtpd_ps(bounds);
-    double reach_far = _mm256_cvtsd_f64(far);
     out->slack = _mm256_cvtsd_f64(bounds);
-    out->filter_slope = _mm_cvtss_f32(_mm_movehl_ps(bounds_f, bounds_f));
-    out->filter_floor = (float)(256.0 * 0x1p-48 * reach_far * reach_far + 0x1p-140);
+    _mm_storeh_pi((__m64 *)&out->filter_slope, bounds_f);
+    f4 slack = _mm_shuffle_ps(bounds_f, bounds_f, 0xff);
+    out->filter_floor = _mm_cvtss_f32(_mm_mul_ss(slack, slack)) + 0x1p-105f;
     _mm_store_ps(out->filter_org, _mm256_cvtpd_ps(porg));
     f4 filter_shear = _mm256_cvtpd_ps(shear), sz = _mm_movehl_ps(filter_shear, filter_shear);
     _mm_store_ps(out->filter_shear, filter_shear);
-    out->filter_slack = _mm_cvtss_f32(_mm_movehdup_ps(bounds_f));
-    out->filter_depth = __builtin_fabsf(_mm_cvtss_f32(sz)) * out->filter_slack;
-    ready_slabs(out, _mm256_cvtpd_ps(org), _mm256_cvtpd_ps(scaled),
-                _mm_shuffle_ps(bounds_f, bounds_f, 0xff));
+    float steep = __builtin_fabsf(_mm_cvtss_f32(sz));
+    out->filter_spread = 13.8f * steep;
+    out->filter_depth = 2.0f * steep * _mm_cvtss_f32(slack);
+    ready_slabs(out, _mm256_cvtpd_ps(org), _mm256_cvtpd_ps(scaled), _mm_movehdup_ps(bounds_f));
     return true;
 }
 
 static inline bool ready_scene_ray(const struct accel *a, const struct ray *ray,
                                    struct trace_ray *out, double *tmin, double *tmax)
 {
-    if (!(ray->tmin < ray->tmax) || !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0,
-                                               a->scene_tree.reach, a->pad, out))
+    if (!(ray->tmin < ray->tmax) ||
+        !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0, a->scene_tree.reach, out))
         return false;
     *tmin = ray->tmin * out->unscale;
     *tmax = ray->tmax * out->unscale;
@@ -148,7 +166,7 @@ static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
     org = d4_add(d4_add(org, d4_mul(z, d4_splat(p[2]))), _mm256_load_pd(from[3]));
     d4 dir = d4_add(d4_mul(x, d4_splat(v[0])), d4_mul(y, d4_splat(v[1])));
     dir = d4_add(dir, d4_mul(z, d4_splat(v[2])));
-    return ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, a->pad, out);
+    return ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, out);
 }
 
 static inline d4 ready_turn(const double to[3][4], d4 v)
@@ -165,13 +183,6 @@ static inline d4 ready_cross(d4 a, d4 b)
     return _mm256_permute4x64_pd(c, _MM_SHUFFLE(3, 0, 2, 1));
 }
 
-/* A vertex of a triangle, given where its coordinates are. */
-static inline f4 ready_vertex(const float *x, const float *y, const float *z)
-{
-    f4 xy = _mm_insert_ps(_mm_load_ss(x), _mm_load_ss(y), 0x10);
-    return _mm_insert_ps(xy, _mm_load_ss(z), 0x20);
-}
-
 /* accel_hit */
 static inline void ready_hit(const struct accel *a, const struct trace_ray *r,
                              const struct trace_best *best, struct hit *out)
@@ -183,8 +194,8 @@ static inline void ready_hit(const struct accel *a, const struct trace_ray *r,
     }
     d4 v[3];
     for (int i = 0; i < 3; i++)
-        v[i] = _mm256_cvtps_pd(ready_vertex(&leaf->v[i][0][best->lane], &leaf->v[i][1][best->lane],
-                                            &leaf->v[i][2][best->lane]));
+        v[i] = _mm256_cvtps_pd(ready_three(&leaf->v[i][0][best->lane], &leaf->v[i][1][best->lane],
+                                           &leaf->v[i][2][best->lane]));
     d4 e1 = d4_sub(v[1], v[0]), e2 = d4_sub(v[2], v[0]);
     uint32_t object = best->object, primitive = best->primitive;
     if (object == SCENE_NONE) {
@@ -195,7 +206,7 @@ static inline void ready_hit(const struct accel *a, const struct trace_ray *r,
         e2 = ready_turn(a->motions[object].to_scene, e2);
     }
     out->t = best->t * r->scale;
-    _mm_storeu_pd(&out->b1, _mm_div_pd(_mm_setr_pd(best->v, best->w), _mm_set1_pd(best->det)));
+    _mm_storeu_pd(&out->b1, _mm_div_pd(_mm_loadu_pd(&best->v), _mm_set1_pd(best->det)));
     _Static_assert(offsetof(struct hit, b2) == offsetof(struct hit, b1) + sizeof(double) &&
                        offsetof(struct hit, object) == offsetof(struct hit, ng) + 24,
                    "b1 and b2 in one store; the normal's fourth lane falls on what comes after");

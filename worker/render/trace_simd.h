@@ -13,9 +13,52 @@
 
 typedef __m128 f4;
 
+/* Which of four lanes; a comparison is false where a number is not one. */
+#ifdef __AVX512VL__
+typedef __mmask8 m4;
+
+static inline m4 f4_less(f4 a, f4 b)
+{
+    return _mm_cmp_ps_mask(a, b, _CMP_LT_OS);
+}
+/* m and a < b */
+static inline m4 f4_and_less(m4 m, f4 a, f4 b)
+{
+    return _mm_mask_cmp_ps_mask(m, a, b, _CMP_LT_OS);
+}
+static inline unsigned m4_bits(m4 m)
+{
+    return m;
+}
+#else
+typedef __m128 m4;
+
+static inline m4 f4_less(f4 a, f4 b)
+{
+    return _mm_cmplt_ps(a, b);
+}
+static inline m4 f4_and_less(m4 m, f4 a, f4 b)
+{
+    return _mm_and_ps(m, _mm_cmplt_ps(a, b));
+}
+static inline unsigned m4_bits(m4 m)
+{
+    return (unsigned)_mm_movemask_ps(m);
+}
+#endif
+
 static inline f4 f4_less_mask(f4 a, f4 b)
 {
     return _mm_cmplt_ps(a, b);
+}
+
+static inline f4 f4_negative(f4 a)
+{
+    return _mm_xor_ps(a, _mm_set1_ps(-0.0f));
+}
+static inline f4 f4_abs(f4 a)
+{
+    return _mm_andnot_ps(_mm_set1_ps(-0.0f), a);
 }
 
 #ifdef __AVX2__
@@ -169,7 +212,7 @@ static inline f4 f4_muladd(f4 a, f4 b, f4 c)
  * with the child's slot in the low three bits, which are masked off again before a
  * key is compared with a hit. children_sort writes the keys and references of the
  * met children to the top of a stack, the nearest last, may scribble eight entries
- * wide, and returns the nearest one's slot. */
+ * wide, and returns the nearest one's reference. */
 enum { KEY_SLOT_MASK = 7 };
 
 #ifdef __AVX2__
@@ -227,24 +270,35 @@ static inline __m256i lanes_compress(__m256i key, unsigned mask)
 #endif
 }
 
-static inline unsigned children_sort(f8 near, unsigned mask, unsigned count, const uint32_t *child,
+static inline __m128i lanes_permute(__m128i a, __m128i lanes)
+{
+    return _mm_castps_si128(_mm_permutevar_ps(_mm_castsi128_ps(a), lanes));
+}
+
+static inline uint32_t children_sort(f8 near, unsigned mask, unsigned count, const uint32_t *child,
                                      uint32_t *keys, uint32_t *refs)
 {
     __m256i slots = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    __m256i child8 = _mm256_load_si256((const __m256i *)child);
     __m256i key = _mm256_or_si256(
         _mm256_andnot_si256(_mm256_set1_epi32(KEY_SLOT_MASK), _mm256_castps_si256(near)), slots);
     key = lanes_compress(key, mask);
-    if (__builtin_expect(count <= 4, 1))
-        key = _mm256_castsi128_si256(sort_four(_mm256_castsi256_si128(key)));
-    else
+    if (__builtin_expect(count > 4, 0)) {
         key = sort_eight(key);
-    unsigned nearest = (unsigned)_mm_cvtsi128_si32(_mm256_castsi256_si128(key)) & KEY_SLOT_MASK;
-    key = _mm256_permutevar8x32_epi32(key,
-                                      _mm256_load_si256((const __m256i *)children_reverse[count]));
-    __m256i ref = _mm256_permutevar8x32_epi32(_mm256_load_si256((const __m256i *)child), key);
-    _mm256_storeu_si256((__m256i *)keys, key);
-    _mm256_storeu_si256((__m256i *)refs, ref);
-    return nearest;
+        __m256i ref = _mm256_permutevar8x32_epi32(child8, key);
+        __m256i reverse = _mm256_load_si256((const __m256i *)children_reverse[count]);
+        _mm256_storeu_si256((__m256i *)keys, _mm256_permutevar8x32_epi32(key, reverse));
+        _mm256_storeu_si256((__m256i *)refs, _mm256_permutevar8x32_epi32(ref, reverse));
+        return (uint32_t)_mm_cvtsi128_si32(_mm256_castsi256_si128(ref));
+    }
+    /* Narrow stores stay within a cache line more often. */
+    __m128i key4 = sort_four(_mm256_castsi256_si128(key));
+    __m128i ref4 =
+        _mm256_castsi256_si128(_mm256_permutevar8x32_epi32(child8, _mm256_castsi128_si256(key4)));
+    __m128i reverse4 = _mm_load_si128((const __m128i *)children_reverse[count]);
+    _mm_storeu_si128((__m128i *)keys, lanes_permute(key4, reverse4));
+    _mm_storeu_si128((__m128i *)refs, lanes_permute(ref4, reverse4));
+    return (uint32_t)_mm_cvtsi128_si32(ref4);
 }
 
 /* Any order will do: the references of the met children. */
@@ -256,7 +310,7 @@ static inline void children_list(unsigned mask, const uint32_t *child, uint32_t 
 
 #else
 
-static inline unsigned children_sort(f8 near, unsigned mask, unsigned count, const uint32_t *child,
+static inline uint32_t children_sort(f8 near, unsigned mask, unsigned count, const uint32_t *child,
                                      uint32_t *keys, uint32_t *refs)
 {
     uint32_t bits[8];
@@ -273,7 +327,7 @@ static inline unsigned children_sort(f8 near, unsigned mask, unsigned count, con
         keys[at] = key;
         refs[at] = child[slot];
     }
-    return keys[count - 1] & KEY_SLOT_MASK;
+    return refs[count - 1];
 }
 
 static inline void children_list(unsigned mask, const uint32_t *child, uint32_t *refs)
