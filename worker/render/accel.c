@@ -665,13 +665,25 @@ bool accel_occluded(const struct accel *a, const struct ray *ray)
 void accel_closest_batch(const struct accel *a, const struct ray *rays, size_t count,
                          struct hit *hits)
 {
-    a->kernel->closest_batch(a, rays, count, hits);
+    a->kernel->closest_batch(a, rays, NULL, count, hits);
 }
 
 void accel_occluded_batch(const struct accel *a, const struct ray *rays, size_t count,
                           uint8_t *occluded)
 {
-    a->kernel->occluded_batch(a, rays, count, occluded);
+    a->kernel->occluded_batch(a, rays, NULL, count, occluded);
+}
+
+void accel_closest_masked(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                          size_t count, struct hit *hits)
+{
+    a->kernel->closest_batch(a, rays, active, count, hits);
+}
+
+void accel_occluded_masked(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                           size_t count, uint8_t *occluded)
+{
+    a->kernel->occluded_batch(a, rays, active, count, occluded);
 }
 
 const char *accel_isa_name(const struct accel *a)

@@ -133,6 +133,14 @@ void accel_closest_batch(const struct accel *a, const struct ray *rays, size_t c
 void accel_occluded_batch(const struct accel *a, const struct ray *rays, size_t count,
                           uint8_t *occluded);
 
+/* The same for rays i with active[i] != 0 alone: for rounds in which part of the rays go on,
+ * without moving those together. Nothing is read of the other rays, nothing written of their
+ * results. */
+void accel_closest_masked(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                          size_t count, struct hit *hits);
+void accel_occluded_masked(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                           size_t count, uint8_t *occluded);
+
 /* The kernel that would run, for reports and tests: "sse2", "avx2", "avx512"; "plain" without SIMD
  * for builder none and moller-trumbore. */
 const char *accel_isa_name(const struct accel *a);

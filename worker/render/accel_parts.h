@@ -21,10 +21,11 @@ struct trace_kernel {
     const char *name;
     void (*closest)(const struct accel *a, const struct ray *ray, struct hit *out);
     bool (*occluded)(const struct accel *a, const struct ray *ray);
-    void (*closest_batch)(const struct accel *a, const struct ray *rays, size_t count,
-                          struct hit *hits);
-    void (*occluded_batch)(const struct accel *a, const struct ray *rays, size_t count,
-                           uint8_t *occluded);
+    /* Of rays with active[i] != 0; `active` may be NULL: all. */
+    void (*closest_batch)(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                          size_t count, struct hit *hits);
+    void (*occluded_batch)(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                           size_t count, uint8_t *occluded);
 };
 
 extern const struct trace_kernel trace_plain, trace_sse2, trace_avx2, trace_avx512;

@@ -394,6 +394,7 @@ struct guest {
     struct trace_best best;
     struct leaf_pending pending;
     double tmin;
+    size_t index;
     bool walks;
 #ifdef TRACE_COMPACT
     struct bvh_leaf room[TRACE_ROOM];
@@ -406,51 +407,63 @@ struct guest {
 #define ROOM_OF(s) NULL
 #endif
 
-static void guests_ready(struct guest *guests, const struct accel *a, const struct ray *rays,
-                         size_t count)
+/* Readies up to TRACE_BATCH of the rays from *next on that are wanted; returns how many. */
+static size_t guests_ready(struct guest *guests, const struct accel *a, const struct ray *rays,
+                           const uint8_t *active, size_t count, size_t *next)
 {
-    for (size_t i = 0; i < count; i++) {
-        struct guest *g = &guests[i];
+    size_t used = 0;
+    for (; *next < count && used < TRACE_BATCH; ++*next) {
+        size_t i = *next;
+        if (active && !active[i])
+            continue;
+        struct guest *g = &guests[used++];
+        g->index = i;
         g->best =
             (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = ROOM_OF(g)};
         g->walks =
             rays[i].tmin >= 0.0 && ready_scene_ray(a, &rays[i], &g->ray, &g->tmin, &g->best.t);
     }
+    return used;
 }
 
-static void few_closest(const struct accel *a, const struct ray *rays, size_t count,
-                        struct hit *hits)
+static void few_closest(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                        size_t count, struct hit *hits)
 {
     struct guest guests[TRACE_BATCH];
-    guests_ready(guests, a, rays, count);
-    for (size_t i = 0; i < count; i++) {
-        struct guest *g = &guests[i];
-        if (g->walks)
-            walk_closest(a, &a->scene_tree, &g->ray, g->tmin, SCENE_NONE, &g->pending, &g->best);
-    }
-    for (size_t i = 0; i < count; i++) {
-        struct guest *g = &guests[i];
-        if (g->walks)
-            pending_settle(a, &g->ray, g->tmin, SCENE_NONE, &g->pending, &g->best);
-        if (g->best.found)
-            ready_hit(a, &g->ray, &g->best, &hits[i]);
-        else if (rays[i].tmin < 0.0)
-            trace_plain.closest(a, &rays[i], &hits[i]);
-        else
-            hits[i].object = SCENE_NONE;
+    size_t next = 0, used;
+    while ((used = guests_ready(guests, a, rays, active, count, &next)) > 0) {
+        for (size_t i = 0; i < used; i++) {
+            struct guest *g = &guests[i];
+            if (g->walks)
+                walk_closest(a, &a->scene_tree, &g->ray, g->tmin, SCENE_NONE, &g->pending,
+                             &g->best);
+        }
+        for (size_t i = 0; i < used; i++) {
+            struct guest *g = &guests[i];
+            if (g->walks)
+                pending_settle(a, &g->ray, g->tmin, SCENE_NONE, &g->pending, &g->best);
+            if (g->best.found)
+                ready_hit(a, &g->ray, &g->best, &hits[g->index]);
+            else if (rays[g->index].tmin < 0.0)
+                trace_plain.closest(a, &rays[g->index], &hits[g->index]);
+            else
+                hits[g->index].object = SCENE_NONE;
+        }
     }
 }
 
-static void few_occluded(const struct accel *a, const struct ray *rays, size_t count,
-                         uint8_t *occluded)
+static void few_occluded(const struct accel *a, const struct ray *rays, const uint8_t *active,
+                         size_t count, uint8_t *occluded)
 {
     struct guest guests[TRACE_BATCH];
-    guests_ready(guests, a, rays, count);
-    for (size_t i = 0; i < count; i++) {
-        const struct guest *g = &guests[i];
-        occluded[i] = g->walks ? walk_any(a, &a->scene_tree, &g->ray, g->tmin, g->best.t)
-                               : rays[i].tmin < 0.0 && trace_plain.occluded(a, &rays[i]);
-    }
+    size_t next = 0, used;
+    while ((used = guests_ready(guests, a, rays, active, count, &next)) > 0)
+        for (size_t i = 0; i < used; i++) {
+            const struct guest *g = &guests[i];
+            const struct ray *ray = &rays[g->index];
+            occluded[g->index] = g->walks ? walk_any(a, &a->scene_tree, &g->ray, g->tmin, g->best.t)
+                                          : ray->tmin < 0.0 && trace_plain.occluded(a, ray);
+        }
 }
 
 /* --- Many rays ------------------------------------------------------------ */
@@ -598,10 +611,12 @@ static inline bool runner_step_any(struct runner *s, const struct accel *a, uint
 
 /* Gives a free runner its next ray; rays that need no walk are answered on the way. */
 static bool closest_next(struct runner *s, const struct accel *a, const struct ray *rays,
-                         size_t count, size_t *next, struct hit *hits)
+                         const uint8_t *active, size_t count, size_t *next, struct hit *hits)
 {
     while (*next < count) {
         s->index = (*next)++;
+        if (active && !active[s->index])
+            continue;
         if (!(rays[s->index].tmin >= 0.0))
             trace_plain.closest(a, &rays[s->index], &hits[s->index]);
         else if (runner_start(s, a, &rays[s->index]))
@@ -612,24 +627,23 @@ static bool closest_next(struct runner *s, const struct accel *a, const struct r
     return false;
 }
 
-static void kernel_closest_batch(const struct accel *a, const struct ray *rays, size_t count,
-                                 struct hit *hits)
+static void kernel_closest_batch(const struct accel *a, const struct ray *rays,
+                                 const uint8_t *active, size_t count, struct hit *hits)
 {
     if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) {
-        for (size_t i = 0; i < count; i += TRACE_BATCH)
-            few_closest(a, rays + i, count - i < TRACE_BATCH ? count - i : TRACE_BATCH, hits + i);
+        few_closest(a, rays, active, count, hits);
         return;
     }
     struct runner runners[TRACE_BATCH];
     uint32_t edge_bits = float_bits(a->scene_tree.edge_unit);
-    size_t next = 0, active = 0;
-    while (active < TRACE_BATCH && closest_next(&runners[active], a, rays, count, &next, hits))
-        active++;
+    size_t next = 0, live = 0;
+    while (live < TRACE_BATCH && closest_next(&runners[live], a, rays, active, count, &next, hits))
+        live++;
     struct runner *order[TRACE_BATCH];
-    for (size_t i = 0; i < active; i++)
+    for (size_t i = 0; i < live; i++)
         order[i] = &runners[i];
-    while (active > 0) {
-        for (size_t i = 0; i < active; i++) {
+    while (live > 0) {
+        for (size_t i = 0; i < live; i++) {
             struct runner *s = order[i];
             if (runner_step_closest(s, a, edge_bits))
                 continue;
@@ -637,17 +651,19 @@ static void kernel_closest_batch(const struct accel *a, const struct ray *rays, 
                 ready_hit(a, &s->ray, &s->best, &hits[s->index]);
             else
                 hits[s->index].object = SCENE_NONE;
-            if (!closest_next(s, a, rays, count, &next, hits))
-                order[i--] = order[--active];
+            if (!closest_next(s, a, rays, active, count, &next, hits))
+                order[i--] = order[--live];
         }
     }
 }
 
 static bool occluded_next(struct runner *s, const struct accel *a, const struct ray *rays,
-                          size_t count, size_t *next, uint8_t *occluded)
+                          const uint8_t *active, size_t count, size_t *next, uint8_t *occluded)
 {
     while (*next < count) {
         s->index = (*next)++;
+        if (active && !active[s->index])
+            continue;
         if (!(rays[s->index].tmin >= 0.0))
             occluded[s->index] = trace_plain.occluded(a, &rays[s->index]);
         else if (runner_start(s, a, &rays[s->index]))
@@ -658,31 +674,30 @@ static bool occluded_next(struct runner *s, const struct accel *a, const struct 
     return false;
 }
 
-static void kernel_occluded_batch(const struct accel *a, const struct ray *rays, size_t count,
-                                  uint8_t *occluded)
+static void kernel_occluded_batch(const struct accel *a, const struct ray *rays,
+                                  const uint8_t *active, size_t count, uint8_t *occluded)
 {
     if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) {
-        for (size_t i = 0; i < count; i += TRACE_BATCH)
-            few_occluded(a, rays + i, count - i < TRACE_BATCH ? count - i : TRACE_BATCH,
-                         occluded + i);
+        few_occluded(a, rays, active, count, occluded);
         return;
     }
     struct runner runners[TRACE_BATCH];
     uint32_t edge_bits = float_bits(a->scene_tree.edge_unit);
-    size_t next = 0, active = 0;
-    while (active < TRACE_BATCH && occluded_next(&runners[active], a, rays, count, &next, occluded))
-        active++;
+    size_t next = 0, live = 0;
+    while (live < TRACE_BATCH &&
+           occluded_next(&runners[live], a, rays, active, count, &next, occluded))
+        live++;
     struct runner *order[TRACE_BATCH];
-    for (size_t i = 0; i < active; i++)
+    for (size_t i = 0; i < live; i++)
         order[i] = &runners[i];
-    while (active > 0) {
-        for (size_t i = 0; i < active; i++) {
+    while (live > 0) {
+        for (size_t i = 0; i < live; i++) {
             struct runner *s = order[i];
             if (runner_step_any(s, a, edge_bits))
                 continue;
             occluded[s->index] = s->best.found;
-            if (!occluded_next(s, a, rays, count, &next, occluded))
-                order[i--] = order[--active];
+            if (!occluded_next(s, a, rays, active, count, &next, occluded))
+                order[i--] = order[--live];
         }
     }
 }

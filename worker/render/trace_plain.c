@@ -221,18 +221,20 @@ static bool plain_occluded(const struct accel *a, const struct ray *ray)
     return walk_scene(a, ray, true, &ready, &best);
 }
 
-static void plain_closest_batch(const struct accel *a, const struct ray *rays, size_t count,
-                                struct hit *hits)
+static void plain_closest_batch(const struct accel *a, const struct ray *rays,
+                                const uint8_t *active, size_t count, struct hit *hits)
 {
     for (size_t i = 0; i < count; i++)
-        plain_closest(a, &rays[i], &hits[i]);
+        if (!active || active[i])
+            plain_closest(a, &rays[i], &hits[i]);
 }
 
-static void plain_occluded_batch(const struct accel *a, const struct ray *rays, size_t count,
-                                 uint8_t *occluded)
+static void plain_occluded_batch(const struct accel *a, const struct ray *rays,
+                                 const uint8_t *active, size_t count, uint8_t *occluded)
 {
     for (size_t i = 0; i < count; i++)
-        occluded[i] = plain_occluded(a, &rays[i]);
+        if (!active || active[i])
+            occluded[i] = plain_occluded(a, &rays[i]);
 }
 
 const struct trace_kernel trace_plain = {

@@ -2,6 +2,8 @@
 
 #include "worker/render/shade.h"
 
+#include <string.h>
+
 uint32_t wave_group_side(const struct render_scene *scene)
 {
     return reuse_wanted(scene) ? WAVE_GROUP_SIDE : 1;
@@ -20,24 +22,37 @@ static void pass_through(const struct render_scene *scene, const struct hit *hit
         v3_put(ray->dir, v3_sub(v3_of(end), org));
 }
 
-/* Rays that alpha lets through, drawn by opacity, one at a time: such surfaces are few. */
+/* Draws by opacity whether ray i goes through what it hit, and sets it to go on behind. */
+static bool pass_ray(const struct render_scene *scene, struct render_scratch *w, uint32_t i)
+{
+    struct path *path = &w->paths[w->active[i]];
+    if (w->hits[i].object == SCENE_NONE)
+        return false;
+    double opacity = shade_opacity(scene, &w->hits[i]);
+    double u[SAMPLER_SET_VALUES] = {0};
+    if (opacity < 1)
+        sampler_set(&path->sampler, WAVE_SET_PASS + path->passes, u);
+    if (u[0] < opacity || path->passes >= WAVE_PASSES_MAX)
+        return false;
+    path->passes++;
+    pass_through(scene, &w->hits[i], &w->rays[i], NULL);
+    return true;
+}
+
+/* Rays that alpha lets through, in rounds: each casts those that the last one let through. */
 static void pass_rays(const struct render_scene *scene, struct render_scratch *w)
 {
-    for (uint32_t i = 0; i < w->active_count; i++) {
-        struct path *path = &w->paths[w->active[i]];
-        while (w->hits[i].object != SCENE_NONE) {
-            double opacity = shade_opacity(scene, &w->hits[i]);
-            double u[SAMPLER_SET_VALUES] = {0};
-            if (opacity < 1)
-                sampler_set(&path->sampler, WAVE_SET_PASS + path->passes, u);
-            if (u[0] < opacity || path->passes >= WAVE_PASSES_MAX)
-                break;
-            path->passes++;
-            pass_through(scene, &w->hits[i], &w->rays[i], NULL);
-            accel_closest(scene->accel, &w->rays[i], &w->hits[i]);
-            w->ray_count++;
+    uint32_t passed;
+    memset(w->passing, 1, w->active_count);
+    do {
+        passed = 0;
+        for (uint32_t i = 0; i < w->active_count; i++) {
+            w->passing[i] = w->passing[i] && pass_ray(scene, w, i);
+            passed += w->passing[i];
         }
-    }
+        accel_closest_masked(scene->accel, w->rays, w->passing, w->active_count, w->hits);
+        w->ray_count += passed;
+    } while (passed > 0);
 }
 
 void wave_trace(const struct render_scene *scene, struct render_scratch *w)
@@ -90,36 +105,47 @@ void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target,
     w->shadow_count++;
 }
 
-/* What alpha leaves of the light along shadow ray i, which something blocks. */
-static double transmittance(const struct render_scene *scene, struct render_scratch *w, uint32_t i)
+/* Takes what shadow ray i has hit from its light; true if some is left and the ray goes on. */
+static bool dim_shadow(const struct render_scene *scene, struct render_scratch *w, uint32_t i)
 {
+    const struct hit *hit = &w->shadow_hits[i];
     struct ray *ray = &w->shadow_rays[i];
-    double left = 1, end[3];
-    for (int k = 0; k < 3; k++)
-        end[k] = ray->org[k] + ray->dir[k];
-    for (int passes = 0; passes < WAVE_PASSES_MAX; passes++) {
-        struct hit hit;
-        accel_closest(scene->accel, ray, &hit);
-        w->ray_count++;
-        if (hit.object == SCENE_NONE)
-            return left;
-        left *= 1 - shade_opacity(scene, &hit);
-        if (!(left > 0))
-            return 0;
-        pass_through(scene, &hit, ray, isinf(ray->tmax) ? NULL : end);
+    if (hit->object == SCENE_NONE) {
+        w->occluded[i] = 0;
+        return false;
     }
-    return 0;
+    w->shadow_left[i] *= 1 - shade_opacity(scene, hit);
+    if (!(w->shadow_left[i] > 0))
+        return false;
+    pass_through(scene, hit, ray, isinf(ray->tmax) ? NULL : w->shadow_end[i]);
+    return true;
 }
 
+/* What alpha leaves of the light along shadow rays that something blocks, all a surface further a
+ * round. */
 static void look_through(const struct render_scene *scene, struct render_scratch *w)
 {
+    uint32_t going = 0;
     for (uint32_t i = 0; i < w->shadow_count; i++) {
-        if (!w->occluded[i])
-            continue;
-        double left = transmittance(scene, w, i);
-        w->occluded[i] = left == 0;
-        w->shadow_radiance[i] = rgb_scale(w->shadow_radiance[i], left);
+        const struct ray *ray = &w->shadow_rays[i];
+        w->shadow_left[i] = 1;
+        for (int k = 0; k < 3; k++)
+            w->shadow_end[i][k] = ray->org[k] + ray->dir[k];
+        w->passing[i] = w->occluded[i] != 0;
+        going += w->passing[i];
     }
+    for (int round = 0; round < WAVE_PASSES_MAX && going > 0; round++) {
+        accel_closest_masked(scene->accel, w->shadow_rays, w->passing, w->shadow_count,
+                             w->shadow_hits);
+        w->ray_count += going;
+        going = 0;
+        for (uint32_t i = 0; i < w->shadow_count; i++) {
+            w->passing[i] = w->passing[i] && dim_shadow(scene, w, i);
+            going += w->passing[i];
+        }
+    }
+    for (uint32_t i = 0; i < w->shadow_count; i++)
+        w->shadow_radiance[i] = rgb_scale(w->shadow_radiance[i], w->shadow_left[i]);
 }
 
 void wave_gather(const struct render_scene *scene, struct render_scratch *w)

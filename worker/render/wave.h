@@ -64,6 +64,13 @@ struct render_scratch {
     double vertex_u[SAMPLER_SET_VALUES][WAVE_PATHS];
     double choice_u[SAMPLER_SET_VALUES][WAVE_PATHS];
 
+    /* Where alpha lets rays through: which go on, and of shadow rays what they hit, what is left of
+     * their light and where they end. */
+    uint8_t passing[WAVE_PATHS];
+    struct hit shadow_hits[WAVE_PATHS];
+    double shadow_left[WAVE_PATHS];
+    double shadow_end[WAVE_PATHS][3];
+
     struct reuse_connections connections;
 
     /* AOVs of kind MEAN of the path of the same number; only where some are asked for. */
