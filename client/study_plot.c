@@ -22,7 +22,8 @@ enum canvas_ink study_ink(enum study_knob knob)
 
 enum canvas_shape study_shape(enum study_knob knob)
 {
-    return (enum canvas_shape)((int)knob % SHAPE_COUNT);
+    /* The inks that are used again come with another shape. */
+    return (enum canvas_shape)(((int)knob + (int)knob / CANVAS_SERIES) % SHAPE_COUNT);
 }
 
 static bool drawn(const struct study_point *p)
