@@ -111,6 +111,24 @@ typedef enum err package_fetch(void *ctx, size_t i, const struct package_index_e
 TL_NODISCARD enum err package_read(const void *root, size_t bytes, package_fetch *fetch, void *ctx,
                                    struct scene *out);
 
+/* A chunk decoded before the rest of its scene is there. */
+struct package_part {
+    bool there;
+    struct scene_mesh mesh; /* one of the two */
+    struct scene_image image;
+};
+
+/* Decodes a chunk of that kind (no root). ERR_CORRUPT, ERR_LIMIT, ERR_NOMEM; then *out is not
+ * there. What it holds is judged when the scene is read. */
+TL_NODISCARD enum err package_part_get(enum package_kind kind, const void *data, size_t bytes,
+                                       struct package_part *out);
+void package_part_release(struct package_part *part);
+
+/* package_read with a part for each entry of the index: those that are there are taken from it and
+ * not fetched; you release what is left. */
+TL_NODISCARD enum err package_read_parts(const void *root, size_t bytes, struct package_part *parts,
+                                         package_fetch *fetch, void *ctx, struct scene *out);
+
 /* One zstd frame of a chunk (level 1, with checksum and content size), appended to `out`. */
 TL_NODISCARD enum err chunk_compress(const void *data, size_t bytes, struct buf *out);
 

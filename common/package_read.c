@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "common/mem.h"
+#include "common/model_file.h"
 #include "common/package_codec.h"
 
 void package_index_release(struct package_index *index)
@@ -96,10 +97,43 @@ static enum err get_chunk(struct scene *s, size_t i, const void *data, size_t by
     return package_image_get(data, bytes, &s->images[i - s->mesh_count]);
 }
 
-static enum err get_chunks(struct scene *s, const struct package_index *index, package_fetch *fetch,
-                           void *ctx)
+enum err package_part_get(enum package_kind kind, const void *data, size_t bytes,
+                          struct package_part *out)
+{
+    *out = (struct package_part){0};
+    TL_TRY(kind == PACKAGE_MESH ? package_mesh_get(data, bytes, &out->mesh)
+                                : package_image_get(data, bytes, &out->image));
+    out->there = true;
+    return ERR_OK;
+}
+
+void package_part_release(struct package_part *part)
+{
+    scene_mesh_release(&part->mesh);
+    mem_free(part->image.pixels);
+    *part = (struct package_part){0};
+}
+
+/* The root has the mesh's name, and the chunk all the rest. */
+static void take_part(struct scene *s, size_t i, struct package_part *part)
+{
+    if (i < s->mesh_count) {
+        part->mesh.name = s->meshes[i].name;
+        s->meshes[i] = part->mesh;
+    } else {
+        s->images[i - s->mesh_count] = part->image;
+    }
+    *part = (struct package_part){0};
+}
+
+static enum err get_chunks(struct scene *s, const struct package_index *index,
+                           struct package_part *parts, package_fetch *fetch, void *ctx)
 {
     for (size_t i = 0; i < index->count; i++) {
+        if (parts && parts[i].there) {
+            take_part(s, i, &parts[i]);
+            continue;
+        }
         const unsigned char *data = NULL;
         size_t bytes = 0;
         TL_TRY(fetch(ctx, i, &index->entries[i], &data, &bytes));
@@ -113,12 +147,18 @@ static enum err get_chunks(struct scene *s, const struct package_index *index, p
 enum err package_read(const void *root, size_t bytes, package_fetch *fetch, void *ctx,
                       struct scene *out)
 {
+    return package_read_parts(root, bytes, NULL, fetch, ctx, out);
+}
+
+enum err package_read_parts(const void *root, size_t bytes, struct package_part *parts,
+                            package_fetch *fetch, void *ctx, struct scene *out)
+{
     struct scene s;
     struct package_index index = {0};
     scene_init(&s);
     enum err e = get_root(root, bytes, &s, &index);
     if (e == ERR_OK)
-        e = get_chunks(&s, &index, fetch, ctx);
+        e = get_chunks(&s, &index, parts, fetch, ctx);
     package_index_release(&index);
     if (e == ERR_OK)
         *out = s;

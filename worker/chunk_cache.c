@@ -301,16 +301,6 @@ bool chunk_cache_has(struct chunk_cache *c, const digest *name)
 
 /* --- In --------------------------------------------------------------------------- */
 
-static enum err check_frame(const digest *name, const unsigned char *frame, size_t frame_bytes,
-                            uint64_t raw_bytes_max)
-{
-    struct buf raw;
-    buf_init(&raw);
-    enum err e = chunk_decompress_any(frame, frame_bytes, name, raw_bytes_max, &raw);
-    buf_release(&raw);
-    return e;
-}
-
 static enum err write_file(struct chunk_cache *c, const digest *name, const unsigned char *frame,
                            size_t frame_bytes)
 {
@@ -351,9 +341,9 @@ static enum err record(struct chunk_cache *c, const digest *name, unsigned char 
 }
 
 enum err chunk_cache_put(struct chunk_cache *c, const digest *name, unsigned char *frame,
-                         size_t frame_bytes, uint64_t raw_bytes_max)
+                         size_t frame_bytes, uint64_t raw_bytes_max, struct buf *plain)
 {
-    enum err e = check_frame(name, frame, frame_bytes, raw_bytes_max);
+    enum err e = chunk_decompress_any(frame, frame_bytes, name, raw_bytes_max, plain);
     if (e == ERR_OK && c->folder) {
         enum err written = write_file(c, name, frame, frame_bytes);
         if (written == ERR_OK) {

@@ -34,10 +34,11 @@ bool chunk_cache_has(struct chunk_cache *c, const digest *name);
 
 /* Checks that the frame is the chunk of that name with at most `raw_bytes_max` plain bytes, and
  * keeps it. Takes `frame` (mem_free) in any case. A folder that cannot take it (disk full) costs
- * memory, not the chunk. ERR_CORRUPT, ERR_LIMIT: it is not that chunk; ERR_NOMEM. */
+ * memory, not the chunk. Appends the plain bytes to `plain`. ERR_CORRUPT, ERR_LIMIT: it is not that
+ * chunk; ERR_NOMEM. */
 TL_NODISCARD enum err chunk_cache_put(struct chunk_cache *c, const digest *name,
                                       unsigned char *frame, size_t frame_bytes,
-                                      uint64_t raw_bytes_max);
+                                      uint64_t raw_bytes_max, struct buf *plain);
 
 /* Appends the plain contents to `out`. ERR_NOT_FOUND: not there, or no longer itself (and dropped);
  * ERR_NOMEM, ERR_IO. */

@@ -51,6 +51,7 @@ struct load {
     const char *step; /* what failed */
     struct buf root, chunk;
     struct package_index index;
+    struct package_part *parts; /* of the index: chunks decoded as they came */
     struct render_scene *scene;
     struct tree_write *new_tree; /* to be written behind the build; or NULL */
     TAILQ_ENTRY(load) in_loads;
@@ -98,6 +99,9 @@ struct store {
     uint64_t raw_bytes_max;
     unsigned char *frame;
     size_t frame_bytes;
+    bool is_root;
+    enum package_kind kind;
+    struct package_part part; /* decoded, if it can be */
     enum err error;
     TAILQ_ENTRY(store) in_stores;
 };
@@ -122,11 +126,27 @@ static void free_tree(struct tree_write *w)
     mem_free(w);
 }
 
+static void free_parts(struct load *load)
+{
+    for (size_t i = 0; load->parts && i < load->index.count; i++)
+        package_part_release(&load->parts[i]);
+    mem_free(load->parts);
+    load->parts = NULL;
+}
+
+static void free_store(struct store *s)
+{
+    package_part_release(&s->part);
+    mem_free(s->frame);
+    mem_free(s);
+}
+
 static void free_load(struct load *load)
 {
     free_tree(load->new_tree);
     buf_release(&load->root);
     buf_release(&load->chunk);
+    free_parts(load);
     package_index_release(&load->index);
     render_scene_free(load->scene);
     mem_free(load->wants);
@@ -196,6 +216,7 @@ static void run_open(struct pool_task *task, uint32_t thread)
     }
     if (load->error != ERR_OK)
         return;
+    free_parts(load);
     package_index_release(&load->index);
     load->index = (struct package_index){0};
     load->error = package_root_read(load->root.data, load->root.bytes, &load->index);
@@ -204,8 +225,11 @@ static void run_open(struct pool_task *task, uint32_t thread)
 
     load->error = ERR_NOMEM;
     struct want *wants = mem_alloc_array(load->index.count, sizeof *wants);
-    if (!wants)
+    load->parts = mem_calloc(load->index.count, sizeof *load->parts);
+    if (!wants || !load->parts) {
+        mem_free(wants);
         return;
+    }
     mem_free(load->wants);
     load->wants = wants;
     load->want_count = load->index.count;
@@ -296,7 +320,8 @@ static void run_build(struct pool_task *task, uint32_t thread)
     struct scene scene;
     scene_init(&scene);
     load->step = "cannot read the scene";
-    load->error = package_read(load->root.data, load->root.bytes, fetch_chunk, load, &scene);
+    load->error = package_read_parts(load->root.data, load->root.bytes, load->parts, fetch_chunk,
+                                     load, &scene);
     buf_release(&load->chunk);
     buf_init(&load->chunk);
     double read = now_seconds();
@@ -320,9 +345,17 @@ static void run_store(struct pool_task *task, uint32_t thread)
 {
     (void)thread;
     struct store *s = (struct store *)task;
-    s->error =
-        chunk_cache_put(s->loader->cache, &s->name, s->frame, s->frame_bytes, s->raw_bytes_max);
+    struct buf plain;
+    buf_init(&plain);
+    s->error = chunk_cache_put(s->loader->cache, &s->name, s->frame, s->frame_bytes,
+                               s->raw_bytes_max, &plain);
     s->frame = NULL;
+    /* Decoded while others are on their way. What cannot be is told when the scene is read. */
+    if (s->error == ERR_OK && !s->is_root && plain.bytes == s->raw_bytes_max) {
+        enum err ignored = package_part_get(s->kind, plain.data, plain.bytes, &s->part);
+        (void)ignored;
+    }
+    buf_release(&plain);
 }
 
 /* --- Phases, on the loop ------------------------------------------------------------ */
@@ -500,7 +533,11 @@ static void done_store(struct pool_task *task)
     size_t i = s->want;
     enum err error = s->error;
     TAILQ_REMOVE(&l->stores, s, in_stores);
-    mem_free(s);
+    if (load && !s->is_root && error == ERR_OK) {
+        load->parts[i] = s->part;
+        s->part = (struct package_part){0};
+    }
+    free_store(s);
     if (!load)
         return;
     if (error == ERR_OK) {
@@ -551,6 +588,8 @@ void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned 
     answered(l, a);
     if (load) {
         load->wants[s->want].state = WANT_STORING;
+        s->is_root = load->root_missing;
+        s->kind = s->is_root ? PACKAGE_ROOT : load->index.entries[s->want].kind;
         load->received_bytes += body_bytes;
     }
     TAILQ_INSERT_TAIL(&l->stores, s, in_stores);
@@ -658,8 +697,7 @@ void scene_fetcher_free(struct scene_fetcher *l)
     while (!TAILQ_EMPTY(&l->stores)) {
         struct store *s = TAILQ_FIRST(&l->stores);
         TAILQ_REMOVE(&l->stores, s, in_stores);
-        mem_free(s->frame);
-        mem_free(s);
+        free_store(s);
     }
     while (!TAILQ_EMPTY(&l->trees)) {
         struct tree_write *w = TAILQ_FIRST(&l->trees);

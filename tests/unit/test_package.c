@@ -153,6 +153,49 @@ static void a_scene_comes_back_trimmed(void **state)
     scene_release(&s);
 }
 
+/* Chunks that were decoded before are taken as they are; the others are fetched. */
+static void parts_need_no_fetch(void **state)
+{
+    (void)state;
+    struct scene s, back;
+    struct package p, again;
+    struct package_index index;
+    struct package_part parts[3] = {{0}};
+    make_scene(&s);
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
+    const struct package_chunk *root = &p.chunks[0];
+    assert_int_equal(package_root_read(root->data, root->bytes, &index), ERR_OK);
+    assert_int_equal(index.count, 3);
+    for (size_t left_out = 0; left_out < 3; left_out++) {
+        for (size_t i = 0; i < 3; i++)
+            if (i != left_out)
+                assert_int_equal(package_part_get(index.entries[i].kind, p.chunks[i + 1].data,
+                                                  p.chunks[i + 1].bytes, &parts[i]),
+                                 ERR_OK);
+        struct package one = p; /* without the contents of the two that are there */
+        struct package_chunk chunks[4];
+        memcpy(chunks, p.chunks, sizeof chunks);
+        for (size_t i = 0; i < 3; i++)
+            if (i != left_out)
+                chunks[i + 1].bytes = 0;
+        one.chunks = chunks;
+        assert_int_equal(package_read_parts(root->data, root->bytes, parts, fetch, &one, &back),
+                         ERR_OK);
+        for (size_t i = 0; i < 3; i++)
+            assert_false(parts[i].there);
+        assert_int_equal(package_write(&back, 0, &again), ERR_OK);
+        assert_true(digest_equal(&root->name, &again.chunks[0].name));
+        package_release(&again);
+        scene_release(&back);
+    }
+    assert_int_not_equal(
+        package_part_get(PACKAGE_MESH, p.chunks[1].data, p.chunks[1].bytes - 1, &parts[0]), ERR_OK);
+    assert_false(parts[0].there);
+    package_index_release(&index);
+    package_release(&p);
+    scene_release(&s);
+}
+
 static void the_index_lists_what_is_needed(void **state)
 {
     (void)state;
@@ -290,6 +333,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_scene_comes_back_trimmed),
         cmocka_unit_test(edits_send_what_changed),
+        cmocka_unit_test(parts_need_no_fetch),
         cmocka_unit_test(the_index_lists_what_is_needed),
         cmocka_unit_test(hostile_bytes_never_pass_unseen),
         cmocka_unit_test(memory_runs_out_cleanly),
