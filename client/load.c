@@ -1,5 +1,7 @@
 #include "client/load.h"
 
+#include <pthread.h>
+#include <signal.h>
 #include <string.h>
 
 #include "client/cli.h"
@@ -141,6 +143,48 @@ static bool take_until(struct load *load, const struct cli_line *line)
     return e == ERR_OK;
 }
 
+/* Coordinates that floats cannot tell apart, looked for while the package is made: on large meshes
+ * both take as long. */
+struct doctor_thread {
+    const struct scene *scene;
+    struct diag_list problems;
+    enum err error;
+    pthread_t thread;
+    bool runs;
+};
+
+static void *doctor_run(void *ctx)
+{
+    struct doctor_thread *d = ctx;
+    d->error = doctor_warn_precision(d->scene, &d->problems);
+    return NULL;
+}
+
+/* No thread: done at once. Signals are for the threads that wait for them. */
+static void doctor_begin(struct doctor_thread *d, const struct scene *scene)
+{
+    sigset_t all, before;
+    *d = (struct doctor_thread){.scene = scene};
+    diag_init(&d->problems);
+    (void)sigfillset(&all);
+    (void)pthread_sigmask(SIG_SETMASK, &all, &before);
+    d->runs = pthread_create(&d->thread, NULL, doctor_run, d) == 0;
+    (void)pthread_sigmask(SIG_SETMASK, &before, NULL);
+    if (!d->runs)
+        (void)doctor_run(d);
+}
+
+static void doctor_end(struct doctor_thread *d, struct load *load)
+{
+    if (d->runs)
+        (void)pthread_join(d->thread, NULL);
+    diag_append(&load->problems, &d->problems);
+    if (d->error != ERR_OK && load->status == EXIT_DONE) {
+        load->status = EXIT_MACHINE;
+        load->trouble = d->error;
+    }
+}
+
 static void drop_scene(struct load *load)
 {
     if (load->has_scene)
@@ -161,12 +205,8 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
         return;
     }
     load->has_scene = true;
-    if (doctor_warn_precision(&load->scene, &load->problems) != ERR_OK) {
-        load->status = EXIT_MACHINE;
-        load->trouble = ERR_NOMEM;
-        drop_scene(load);
-        return;
-    }
+    struct doctor_thread doctor;
+    doctor_begin(&doctor, &load->scene);
     load->scene_spec = load->spec;
     load->light_count = count_lights(&load->scene);
     apply_options(load, line);
@@ -178,6 +218,7 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
         check_light(load, path, line);
     if (load->status == EXIT_DONE)
         make_package(load);
+    doctor_end(&doctor, load);
     if (!keep_scene)
         drop_scene(load);
 }

@@ -74,6 +74,20 @@ void diag_add(struct diag_list *list, enum diag_severity severity, struct diag_p
     list->items[list->count++] = d;
 }
 
+void diag_append(struct diag_list *list, struct diag_list *from)
+{
+    list->error_count += from->error_count;
+    list->warning_count += from->warning_count;
+    for (size_t i = 0; i < from->count; i++) {
+        if (list->count >= DIAG_MAX ||
+            !mem_grow((void **)&list->items, list->count, &list->capacity, sizeof *list->items))
+            break;
+        list->items[list->count++] = from->items[i];
+        from->items[i] = (struct diag){0};
+    }
+    diag_release(from);
+}
+
 /* When memory runs out, the problem stays as it was. */
 static void move_to_user(struct diag *d, struct diag_place user)
 {

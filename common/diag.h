@@ -51,6 +51,9 @@ struct diag_place {
 void diag_add(struct diag_list *list, enum diag_severity severity, struct diag_place place,
               const char *id, const char *hint, const char *format, ...) TL_PRINTF(6, 7);
 
+/* Moves the problems of `from` behind those of `list`; `from` is empty then. */
+void diag_append(struct diag_list *list, struct diag_list *from);
+
 /* Tells who uses a file that was read: of the problems from number `from` on, those without a line
  * and JSON path move to `user`, the file's name going into the text; the others name `user` in
  * their hint. `user` has a path. */
