@@ -16,6 +16,7 @@ struct facts {
     const struct load *load;
     struct scene_plan plan;
     struct scene_plan_memory memory;
+    struct scene_plan_lazy lazy;
     uint64_t triangles, triangles_drawn, vertices, spheres, lights;
     uint64_t plain_bytes, left_bytes, sent_bytes;
     uint64_t *chunk_sent;               /* of each chunk, as one zstd frame */
@@ -124,8 +125,10 @@ static void put_json(const struct facts *f, struct buf *out)
                (unsigned long long)f->left_bytes, (unsigned long long)f->memory.tree,
                (unsigned long long)f->memory.geometry, (unsigned long long)f->memory.images);
     buf_printf(out,
+               "\"lazy\":{\"objects\":%llu,\"triangles\":%llu},"
                "\"triangles\":%llu,\"triangles_instanced\":%llu,\"vertices\":%llu,"
                "\"spheres\":%llu,\"lights\":%llu,\"chunks\":[",
+               (unsigned long long)f->lazy.objects, (unsigned long long)f->lazy.triangles,
                (unsigned long long)f->triangles, (unsigned long long)f->triangles_drawn,
                (unsigned long long)f->vertices, (unsigned long long)f->spheres,
                (unsigned long long)f->lights);
@@ -257,6 +260,13 @@ static void put_memory(const struct facts *f, struct buf *out)
     human_bytes((double)f->memory.images, d);
     buf_printf(out, "memory    about %s in each worker: tree %s, vertices %s, pictures %s\n", a, b,
                c, d);
+    if (f->lazy.objects == 0)
+        return;
+    human_count((double)f->lazy.triangles, c);
+    buf_printf(out,
+               "          at most: the trees of %llu objects, %s triangles, are built when a ray "
+               "first meets them\n",
+               (unsigned long long)f->lazy.objects, c);
 }
 
 static void put_text(const struct facts *f, struct buf *out)
@@ -284,6 +294,7 @@ static int explain(struct cli *cli, const struct load *load, const struct predic
     if (ok) {
         count_scene(&facts, &load->scene);
         facts.memory = scene_plan_memory(&load->scene, &facts.plan);
+        facts.lazy = scene_plan_lazy(&load->scene, &facts.plan);
         ok = count_package(&facts, &load->package);
     }
     if (ok && cli->json)

@@ -15,6 +15,7 @@
 #define COMMON_SCENE_PLAN_H
 
 #include "common/scene.h"
+#include "common/scene_lazy.h"
 
 /* name, as explain shows it */
 #define SCENE_FEATURES(X)                                                                          \
@@ -105,6 +106,12 @@ enum { SCENE_INSTANCE_TRIANGLES_MIN = 4096 };
 /* From so many triangles in all on trees are compact: half of gigabytes is worth more than the rays
  * it costs. */
 enum { SCENE_COMPACT_TRIANGLES_MIN = 1 << 25 };
+
+/* How many objects and triangles will wait so in a worker; zeros: all trees are built at once. */
+struct scene_plan_lazy {
+    uint64_t objects, triangles;
+};
+struct scene_plan_lazy scene_plan_lazy(const struct scene *scene, const struct scene_plan *p);
 
 /* Estimates, in bytes, of what a worker holds while it renders: the tree; vertices with what they
  * carry; pictures; lights; all of these. tests/render/test_plan holds them to what is held. */

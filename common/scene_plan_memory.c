@@ -2,6 +2,8 @@
  * tables were measured to take; no state, any thread. */
 #include "common/scene_plan.h"
 
+#include <float.h>
+
 /* Of the wide tree: blocks of four triangles at 160 bytes, seldom full, and their nodes. Measured
  * on the models of docs/SPECIALISE.md. */
 static const double TREE_BYTES_PER_TRIANGLE = 55;
@@ -118,4 +120,74 @@ struct scene_plan_memory scene_plan_memory(const struct scene *scene, const stru
     uint64_t tables = rows + out.geometry + out.images + out.lights;
     out.total = out.tree + (tables > BLOCK_BYTES ? tables : BLOCK_BYTES);
     return out;
+}
+
+/* --- Trees that wait for a ray ------------------------------------------- */
+
+struct box {
+    double low[3], high[3];
+};
+
+static const struct box nothing = {{DBL_MAX, DBL_MAX, DBL_MAX}, {-DBL_MAX, -DBL_MAX, -DBL_MAX}};
+
+static void box_add(struct box *b, const double p[3])
+{
+    for (int k = 0; k < 3; k++) {
+        b->low[k] = p[k] < b->low[k] ? p[k] : b->low[k];
+        b->high[k] = p[k] > b->high[k] ? p[k] : b->high[k];
+    }
+}
+
+static double box_area(const struct box *b)
+{
+    double x = b->high[0] - b->low[0], y = b->high[1] - b->low[1], z = b->high[2] - b->low[2];
+    return x * y + y * z + z * x;
+}
+
+static struct box box_of(const struct scene_object *o, const struct scene_mesh *m)
+{
+    struct box b = nothing;
+    for (size_t v = 0; v < m->vertex_count; v++) {
+        const double *p = m->positions + 3 * v;
+        double at[3];
+        for (int r = 0; r < 3; r++) {
+            const double *row = o->transform + (size_t)r * 4;
+            at[r] = row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3];
+        }
+        box_add(&b, at);
+    }
+    return b;
+}
+
+/* Triangles that lie in the scene's own space. */
+static uint64_t plain_triangles(const struct scene *s, const struct scene_plan *p, size_t object)
+{
+    const struct scene_object *o = &s->objects[object];
+    bool plain = p->objects[object] && o->type == SCENE_OBJECT_MESH && !is_instanced(s, p, o);
+    return plain ? s->meshes[o->mesh].triangle_count : 0;
+}
+
+struct scene_plan_lazy scene_plan_lazy(const struct scene *scene, const struct scene_plan *p)
+{
+    struct scene_plan_lazy out = {0};
+    struct box all = nothing;
+    uint64_t total = 0;
+    double areas = 0;
+    for (size_t i = 0; i < scene->object_count; i++)
+        total += plain_triangles(scene, p, i);
+    for (size_t i = 0; i < scene->object_count; i++) {
+        uint64_t triangles = plain_triangles(scene, p, i);
+        if (triangles < SCENE_LAZY_TRIANGLES_MIN ||
+            triangles > total / SCENE_LAZY_SHARE_MAX_INVERSE)
+            continue;
+        const struct scene_object *o = &scene->objects[i];
+        struct box b = box_of(o, &scene->meshes[o->mesh]);
+        box_add(&all, b.low);
+        box_add(&all, b.high);
+        areas += box_area(&b);
+        out.objects++;
+        out.triangles += triangles;
+    }
+    bool pays = scene_lazy_pays(out.objects, out.triangles, total, areas, box_area(&all));
+    return pays ? out : (struct scene_plan_lazy){0};
 }

@@ -12,7 +12,7 @@
 #include "common/determinism.h"
 #include "common/log.h"
 #include "proto/transport.h"
-#include "worker/render/accel_lazy.h"
+#include "common/scene_lazy.h"
 #include "worker/render/render.h"
 #include "worker/session.h"
 
@@ -412,7 +412,7 @@ int main(int argc, char **argv)
         .pool = p.pool,
         .cache = p.cache,
         .scene_bytes_max = p.memory_mib * MIB,
-        .lazy_triangles_min = p.eager ? 0 : ACCEL_LAZY_TRIANGLES_MIN,
+        .lazy_triangles_min = p.eager ? 0 : SCENE_LAZY_TRIANGLES_MIN,
         .registered = on_registered,
         .ended = on_ended,
         .ctx = &p,

@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "common/mem.h"
+#include "common/scene_plan.h"
 #include "tests/render/render_kit.h"
 #include "worker/render/render_scene.h"
 #include "worker/scene/scene_build.h"
@@ -368,6 +369,59 @@ static void waiting_trees_change_no_bit(void **state)
     scene_release(&s);
 }
 
+/* A sheet of 2,048 triangles around (x, 0, 0) in place of a quad. */
+static void add_fine_sheet(struct scene *s, double x)
+{
+    enum { SIDE = 32, ROW = SIDE + 1 };
+    uint32_t o = kit_quad(s, square, kit_diffuse(s, 0.5, 0.5, 0.5));
+    struct scene_mesh *m = &s->meshes[s->objects[o].mesh];
+    mem_free(m->positions);
+    mem_free(m->indices);
+    m->vertex_count = ROW * ROW;
+    m->triangle_count = 2 * SIDE * SIDE;
+    m->positions = mem_calloc(m->vertex_count, 3 * sizeof *m->positions);
+    m->indices = mem_calloc(m->triangle_count, 3 * sizeof *m->indices);
+    assert_true(m->positions && m->indices);
+    for (uint32_t v = 0; v < m->vertex_count; v++) {
+        m->positions[3 * v] = x + (double)(v % ROW) / SIDE;
+        m->positions[3 * v + 1] = (double)(v / ROW) / SIDE;
+        m->positions[3 * v + 2] = (double)(v % 3) * 0.01;
+    }
+    for (uint32_t t = 0; t < m->triangle_count; t++) {
+        uint32_t v = t / 2 / SIDE * ROW + t / 2 % SIDE;
+        uint32_t corners[3] = {v, v + 1 + t % 2 * ROW, v + ROW + (t + 1) % 2};
+        memcpy(&m->indices[3 * (size_t)t], corners, sizeof corners);
+    }
+}
+
+/* What `explain` says of trees that wait is what a worker does. */
+static void the_plan_knows_which_trees_wait(void **state)
+{
+    (void)state;
+    for (int sheets = 7; sheets < 11; sheets++) {
+        struct scene s;
+        struct scene_plan plan;
+        scene_init(&s);
+        for (int i = 0; i < sheets; i++)
+            add_fine_sheet(&s, 1.5 * i);
+        (void)kit_quad(&s, square, kit_diffuse(&s, 1, 1, 1));
+        struct job_spec spec = kit_spec(8, 4);
+        struct scene_building how = {.lazy_triangles_min = SCENE_LAZY_TRIANGLES_MIN};
+        struct render_scene *rs;
+        struct accel_stats stats;
+        assert_int_equal(scene_build_as(&s, &spec, &how, &rs), ERR_OK);
+        render_scene_stats(rs, &stats);
+        assert_int_equal(scene_plan_make(&s, 0, &plan), ERR_OK);
+        struct scene_plan_lazy lazy = scene_plan_lazy(&s, &plan);
+        assert_int_equal(lazy.objects, stats.lazy_count);
+        assert_int_equal(stats.lazy_count, sheets < 8 ? 0 : sheets);
+        assert_int_equal(lazy.triangles, 2048 * lazy.objects);
+        scene_plan_release(&plan);
+        render_scene_free(rs);
+        scene_release(&s);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -381,6 +435,7 @@ int main(void)
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(shared_scenes_change_no_bit),
         cmocka_unit_test(waiting_trees_change_no_bit),
+        cmocka_unit_test(the_plan_knows_which_trees_wait),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

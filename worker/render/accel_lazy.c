@@ -2,12 +2,8 @@
 
 #include <string.h>
 
+#include "common/scene_lazy.h"
 #include "worker/render/accel_parts.h"
-
-enum {
-    OBJECTS_MIN = 8,       /* of a scene whose objects may wait */
-    SHARE_MAX_INVERSE = 4, /* an object has at most a quarter of all triangles: one thread builds */
-};
 
 /* --- Choosing -------------------------------------------------------------- */
 
@@ -82,7 +78,7 @@ static void mark(const struct accel_input *input, const bool *shared, uint32_t t
         if (o->type != ACCEL_TRIANGLES || shared[o->mesh])
             continue;
         uint64_t count = input->meshes[o->mesh].triangle_count;
-        if (count < triangles_min || count > total / SHARE_MAX_INVERSE)
+        if (count < triangles_min || count > total / SCENE_LAZY_SHARE_MAX_INVERSE)
             continue;
         box->lazy = true;
         plan->lazy_count++;
@@ -94,15 +90,6 @@ static void mark(const struct accel_input *input, const bool *shared, uint32_t t
         }
     }
     *all = box_area(lo, hi);
-}
-
-/* A ray through the box of all meets areas / all boxes of them on average. Of n that fill a cube
- * side by side it meets the cube root of n; twice that is taken for overlapping too much. */
-static bool pays(const struct accel_lazy_plan *plan, uint64_t total, double areas, double all)
-{
-    double meets = areas / all;
-    return plan->lazy_count >= OBJECTS_MIN && plan->lazy_triangles >= total / 2 &&
-           meets * meets * meets <= 8.0 * (double)plan->lazy_count;
 }
 
 enum err accel_lazy_choose(const struct accel_input *input, const struct accel_options *options,
@@ -118,7 +105,7 @@ enum err accel_lazy_choose(const struct accel_input *input, const struct accel_o
         total += count;
         large += count >= triangles_min;
     }
-    if (large < OBJECTS_MIN || options->builder != JOB_BUILDER_SAH ||
+    if (large < SCENE_LAZY_OBJECTS_MIN || options->builder != JOB_BUILDER_SAH ||
         options->intersector != JOB_INTERSECTOR_WOOP || options->precision != JOB_PRECISION_EXACT)
         return ERR_OK;
     struct accel_lazy_plan plan = {.object_count = input->object_count};
@@ -133,7 +120,7 @@ enum err accel_lazy_choose(const struct accel_input *input, const struct accel_o
         bvh_run(runner, input->object_count, measure, &m);
         mark(input, shared, triangles_min, total, &plan, &areas, &all);
         mem_free(shared);
-        if (pays(&plan, total, areas, all)) {
+        if (scene_lazy_pays(plan.lazy_count, plan.lazy_triangles, total, areas, all)) {
             *out = plan;
             return ERR_OK;
         }

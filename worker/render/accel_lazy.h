@@ -30,13 +30,10 @@ struct accel_lazy_plan {
     uint64_t lazy_count, lazy_triangles;
 };
 
-/* From so many triangles on an object may wait for its first ray. */
-enum { ACCEL_LAZY_TRIANGLES_MIN = 2048 };
-
-/* Measures the objects and chooses: none of a scene where that would not pay (few large objects,
- * one that outweighs all, or objects that overlap so much that a ray enters many in vain), and none
- * unless options have the SAH builder, Woop's test and precision exact, under which the shape of a
- * tree decides nothing. ERR_NOMEM. */
+/* Measures the objects and chooses (scene_lazy.h has the rule): none of a scene where that would
+ * not pay (few large objects, one that outweighs all, or objects that overlap so much that a ray
+ * enters many in vain), and none unless options have the SAH builder, Woop's test and precision
+ * exact, under which the shape of a tree decides nothing. ERR_NOMEM. */
 TL_NODISCARD enum err accel_lazy_choose(const struct accel_input *input,
                                         const struct accel_options *options,
                                         const struct accel_runner *runner, uint32_t triangles_min,
