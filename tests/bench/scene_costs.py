@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measures what a scene costs: bytes sent, memory, the second job, the start. Prints the tables of docs/SPECIALISE.md.
+"""Measures what a scene costs: bytes sent, memory, trees, the second job, the start. Prints the tables of docs/SPECIALISE.md.
 
 usage: scene_costs.py BIN_DIR [MODELS_DIR]
 
@@ -7,6 +7,7 @@ BIN_DIR is bin/ of a release build; MODELS_DIR holds models to be explained (obj
 loopback and keeps its data in a temporary folder.
 """
 import json
+import math
 import os
 import pathlib
 import statistics
@@ -40,6 +41,84 @@ def models(bin_dir, folder):
         b, n = e["bytes"], e["triangles_instanced"]
         print(f"| {path.name} | {n:,} | {b['source']:,} | {b['plain'] + b['left_out']:,} | {b['left_out']:,} | {b['package']:,} "
               f"| {b['package'] / b['source']:.2f} | {(b['tree'] + b['geometry']) / n:.0f} |")
+
+
+SIDE = 90   # of a sheet of 2 x SIDE^2 triangles, with half as many vertices
+
+
+def sheet(normals, uvs):
+    """A bumpy sheet as an OBJ, coordinates with as many digits as modellers write."""
+    lines = []
+    for y in range(SIDE + 1):
+        for x in range(SIDE + 1):
+            lines.append(f"v {x / SIDE:.6f} {y / SIDE:.6f} {0.02 * math.sin(x * 0.7) * math.cos(y * 0.9):.6f}")
+    for y in range(SIDE + 1) if normals else ():
+        for x in range(SIDE + 1):
+            lines.append(f"vn {-0.1 * math.cos(x * 0.7):.4f} {0.1 * math.sin(y * 0.9):.4f} 0.9900")
+    for y in range(SIDE + 1) if uvs else ():
+        for x in range(SIDE + 1):
+            lines.append(f"vt {x / SIDE + 0.01 * math.sin(y * 0.9):.6f} {y / SIDE + 0.01 * math.cos(x * 0.7):.6f}")
+    for y in range(SIDE):
+        for x in range(SIDE):
+            a = y * (SIDE + 1) + x + 1
+            corners = [f"{v}/{v if uvs else ''}/{v if normals else ''}".rstrip("/") for v in (a, a + 1, a + SIDE + 2, a + SIDE + 1)]
+            lines += ["f " + " ".join(corners[k] for k in (0, 1, 2)), "f " + " ".join(corners[k] for k in (0, 2, 3))]
+    return "\n".join(lines) + "\n"
+
+
+def features(bin_dir, folder):
+    """Bytes a triangle of one sheet, by what its file has and what its scene reads."""
+    print(f"\nA sheet of {2 * SIDE * SIDE:,} triangles:\n")
+    print("| the file has | the scene reads | sent, bytes a triangle | memory, bytes a triangle |")
+    print("|---|---|---:|---:|")
+    rows = [((False, False), False), ((True, False), False), ((False, True), False), ((False, True), True),
+            ((True, True), False), ((True, True), True)]
+    for (normals, uvs), textured in rows:
+        (folder / "sheet.obj").write_text(sheet(normals, uvs))
+        texture = {"type": "checkerboard", "color0": [0.2, 0.2, 0.2], "color1": [0.8, 0.8, 0.8]} if textured \
+            else {"type": "constant", "color": [0.5, 0.5, 0.5]}
+        scene = folder / "sheet.json"
+        scene.write_text(json.dumps({
+            "integrator": {"type": "path", "spp": 1}, "film": {"resolution": [64, 64]},
+            "camera": {"position": [0.5, 0.5, 2], "look_at": [0.5, 0.5, 0], "ref_up": [0, 1, 0], "fov": 40},
+            "textures": {"t": texture}, "materials": {"m": {"type": "diffuse", "texture_name": "t"}},
+            "objects": [{"type": "mesh", "path": "sheet.obj", "material_name": "m"},
+                        {"type": "sphere", "center": [3, 5, 4], "radius": 1, "light": {"type": "area", "radiance": [20, 20, 20]}}]}))
+        e = explain(bin_dir, scene)
+        sent = sum(c["sent"] for c in e["chunks"] if c["kind"] == "mesh")
+        has = ", ".join(["positions"] + ["normals"] * normals + ["texture coordinates"] * uvs)
+        memory = (e["bytes"]["tree"] + e["bytes"]["geometry"]) / e["triangles_instanced"]
+        print(f"| {has} | {'a texture' if textured else 'none'} | {sent / e['triangles_instanced']:.1f} | {memory:.0f} |")
+
+
+def rooms(bin_dir, folder):
+    """A scene of 200 rooms of which the camera sees three, with trees built when met and all at once."""
+    maker = pathlib.Path(__file__).resolve().parents[2] / "scenes" / "make_rooms.py"
+    run(sys.executable, maker, bin_dir / "gen_mesh", folder / "rooms")
+    print("\n| trees | built | scene, MB | peak of the worker, MB | load s | build s | first result s | processor time of the worker s |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|")
+    for name, more in (("of what rays meet", ()), ("all (`--eager`)", ("--eager",))):
+        data = folder / ("farm" + "".join(more))
+        data.mkdir()
+        farm = Farm(bin_dir, data)
+        log = open(data / "worker.log", "w+")
+        worker = subprocess.Popen([str(bin_dir / "tilery-worker"), "--master", farm.listen, "--threads", "1", *more],
+                                  stdout=subprocess.PIPE, stderr=log, text=True)
+        worker.stdout.readline()
+        report = farm.job(folder / "rooms" / "rooms.json", "--size", "160x120", "--spp", "4")
+        status = pathlib.Path(f"/proc/{worker.pid}/status").read_text()
+        peak = int(status.split("VmHWM:")[1].split()[0])
+        cpu = sum(int(x) for x in pathlib.Path(f"/proc/{worker.pid}/stat").read_text().split()[13:15]) / os.sysconf("SC_CLK_TCK")
+        for program in (worker, farm.master):
+            program.terminate()
+            program.wait()
+        log.seek(0)
+        words = dict(w.split("=", 1) for line in log for w in line.split() if "=" in w and ("trees met" in line or "scene ready" in line))
+        s = report["seconds"]
+        built = f"{words['built']} of {words['of']}" if "of" in words else "all"
+        print(f"| {name} | {built} | {int(words['bytes']) / 1e6:.0f} | {peak / 1e3:.0f} | {s['load']:.2f} | {s['build']:.2f} "
+              f"| {s['first_result']:.2f} | {cpu:.2f} |")
+        print(f"  picture {report['image_sha256'][:16]}", file=sys.stderr)
 
 
 def ball_scene(bin_dir, folder, side):
@@ -127,8 +206,11 @@ def main():
     if len(sys.argv) > 2:
         models(bin_dir, pathlib.Path(sys.argv[2]))
     with tempfile.TemporaryDirectory() as folder:
-        second_job(bin_dir, pathlib.Path(folder))
-        start(bin_dir, pathlib.Path(folder))
+        folder = pathlib.Path(folder)
+        features(bin_dir, folder)
+        rooms(bin_dir, folder)
+        second_job(bin_dir, folder)
+        start(bin_dir, folder)
 
 
 if __name__ == "__main__":
