@@ -241,6 +241,29 @@ static const struct refusal {
     {SCENE("", "", "", "", "", "") " x", "json-syntax", "s.json"},
 };
 
+/* How textures are looked up, and heights: what is given and what stands where nothing is. */
+static void filters_and_bumps_arrive(void **state)
+{
+    (void)state;
+    static const char text[] =
+        "{\"integrator\": {}, \"film\": {}, \"camera\": {}, \"textures\": {"
+        "\"a\": {\"type\": \"checkerboard\"},"
+        "\"b\": {\"type\": \"checkerboard\", \"filter\": \"mipmap\"}},"
+        "\"materials\": {\"m\": {\"texture_name\": \"a\"},"
+        "\"n\": {\"type\": \"glass\", \"bump_texture\": \"b\", \"bump_scale\": -0.25}},"
+        "\"objects\": [{\"type\": \"sphere\", \"center\": [0, 0, 0], \"light\": {}}]}";
+    struct loaded l;
+    load(&l, text);
+    assert_int_equal(l.e, ERR_OK);
+    assert_int_equal(l.scene.textures[0].filter, SCENE_FILTER_NEAREST);
+    assert_int_equal(l.scene.textures[1].filter, SCENE_FILTER_MIPMAP);
+    assert_int_equal(l.scene.materials[0].bump_texture, SCENE_NONE);
+    assert_true(l.scene.materials[0].bump_scale == 1);
+    assert_int_equal(l.scene.materials[1].bump_texture, 1);
+    assert_true(l.scene.materials[1].bump_scale == -0.25);
+    unload(&l);
+}
+
 static void bad_scenes_are_refused_with_their_place(void **state)
 {
     (void)state;
@@ -379,6 +402,7 @@ int main(void)
         cmocka_unit_test(defaults_are_the_formats),
         cmocka_unit_test(intersection_test_has_its_own_defaults),
         cmocka_unit_test(values_arrive),
+        cmocka_unit_test(filters_and_bumps_arrive),
         cmocka_unit_test(bad_scenes_are_refused_with_their_place),
         cmocka_unit_test(all_problems_come_in_one_run),
         cmocka_unit_test(problems_of_files_name_their_user),
