@@ -25,8 +25,7 @@ static float round_up(double x)
 static inline __m128 vertex_load(const struct accel_mesh *m, uint32_t vertex)
 {
     const float *p = &m->positions[3 * (size_t)vertex];
-    __m128 xy = _mm_castpd_ps(_mm_load_sd((const double *)(const void *)p));
-    return _mm_movelh_ps(xy, _mm_load_ss(&p[2]));
+    return accel_vertex_load(p);
 }
 
 /* The fourth of each is 0. */

@@ -112,6 +112,14 @@ static inline uint32_t accel_triangle_object(const struct accel *a, uint32_t num
     return (uint32_t)(first - a->triangle_first);
 }
 
+/* Three floats, which may end their array; the fourth is 0. */
+static inline __m128 accel_vertex_load(const float *p)
+{
+    double xy; /* two floats at an address that is no double's */
+    memcpy(&xy, p, sizeof xy);
+    return _mm_movelh_ps(_mm_castpd_ps(_mm_set_sd(xy)), _mm_load_ss(&p[2]));
+}
+
 /* What a packed leaf stands for. */
 static inline void accel_unpack(const struct accel *a, const struct bvh *tree,
                                 const struct bvh_packed *packed, struct bvh_leaf *out)
@@ -129,8 +137,7 @@ static inline void accel_unpack(const struct accel *a, const struct bvh *tree,
         __m128 v[BVH_BLOCK];
         for (int lane = 0; lane < BVH_BLOCK; lane++) {
             const float *p = &positions[lane][3 * (size_t)packed->vertex[i][lane]];
-            __m128 xy = _mm_castpd_ps(_mm_load_sd((const double *)(const void *)p));
-            v[lane] = _mm_movelh_ps(xy, _mm_load_ss(&p[2]));
+            v[lane] = accel_vertex_load(p);
         }
         _MM_TRANSPOSE4_PS(v[0], v[1], v[2], v[3]);
         for (int k = 0; k < 3; k++)
