@@ -173,7 +173,7 @@ static bool sample_environment(const struct environment *e, vec3 n, double u, do
     double x, y, sine;
     double density = distribution_2d_sample(&e->image, u, v, &x, &y);
     s->wi = environment_direction(e, x, y, &sine);
-    if (!(sine > 0))
+    if (!(sine > 0) || (v3_abs_max(n) > 0 && !(v3_dot(n, s->wi) > 0)))
         return false;
     s->pdf = density / (2 * VEC_PI * VEC_PI * sine);
     s->radiance = environment_lookup(e, x, y);
