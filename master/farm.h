@@ -91,8 +91,8 @@ struct job {
     uint64_t counts_stored;                 /* sum of what is counted in units, as the row has it */
 
     /* For the report. */
-    int64_t ready_us, first_result_us, last_result_us; /* the first of this master */
-    uint64_t rate_samples;                             /* samples at the last rate sample */
+    int64_t ready_us, last_result_us; /* the first of this master */
+    uint64_t rate_samples;            /* samples at the last rate sample */
     uint64_t contributors; /* workers that gave results: bits of worker ids are in `seen` */
     uint32_t *seen;        /* ids of contributors, sorted by arrival */
     size_t seen_capacity;

@@ -82,8 +82,7 @@ static void put_seconds(struct buf *b, const struct job *job)
     buf_put_u8(b, ',');
     put_number(b, "gather", s->gather_s, done);
     buf_put_u8(b, ',');
-    double first = (double)(job->first_result_us - job->rec.started_us) / 1e6;
-    put_number(b, "first_result", first, job->first_result_us != 0);
+    put_number(b, "first_result", s->first_result_s, s->first_result_s > 0);
     buf_printf(b, "},\"core_seconds\":");
     json_put_number(b, (double)job->rec.totals.render_us / 1e6);
 }

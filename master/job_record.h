@@ -65,7 +65,8 @@ struct job_totals {
     X(worst_relmse)                                                                                \
     X(worst_x)                                                                                     \
     X(worst_y)                                                                                     \
-    X(stopped_by)
+    X(stopped_by)                                                                                  \
+    X(first_result_s) /* from the start; 0: none yet, or not known */
 
 /* Everything else that the report tells. */
 struct job_stats {

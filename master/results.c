@@ -309,11 +309,12 @@ static void on_stored(void *ctx, enum err e)
         e = film_add(job->film, s->record.unit, s->values);
         if (e == ERR_OK) {
             s->values = NULL;
+            job->last_result_us = farm_wall_us();
+            if (job->rec.totals.units == 0)
+                job->rec.stats.first_result_s =
+                    (double)(job->last_result_us - job->rec.started_us) / 1e6;
             add_totals(job, &s->record);
             note_contributor(job, s->record.worker);
-            job->last_result_us = farm_wall_us();
-            if (job->first_result_us == 0)
-                job->first_result_us = job->last_result_us;
         } else {
             log_error("results", "stored result not added job=j%" PRIu64 " error=%s", s->record.job,
                       err_name(e));
