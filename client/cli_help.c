@@ -77,7 +77,7 @@ static void put_section(enum cli_command_id id, const char *section, struct buf 
     for (int i = 0; i < CLI_OPTION_COUNT; i++) {
         const struct cli_option *o = &cli_options[i];
         char text[100];
-        if (!(o->commands >> id & 1) || !o->built || strcmp(o->section, section) != 0)
+        if (!(o->commands >> id & 1) || strcmp(o->section, section) != 0)
             continue;
         option_text(o, text, sizeof text);
         int bytes = (int)strlen(text);
@@ -133,7 +133,7 @@ void cli_help_long(enum cli_command_id id, struct buf *out)
         if (!(o->commands >> id & 1))
             continue;
         option_text(o, text, sizeof text);
-        buf_printf(out, "  %-34s %s%s", text, o->built ? "" : "(not built yet) ", o->help);
+        buf_printf(out, "  %-34s %s", text, o->help);
         put_choices(o, out);
         buf_printf(out, "\n");
     }
@@ -144,7 +144,7 @@ static void put_completion_options(enum cli_command_id id, struct buf *out)
     buf_printf(out, "    %s) words=\"", cli_commands[id].name);
     bool first = true;
     for (int i = 0; i < CLI_OPTION_COUNT; i++) {
-        if (!(cli_options[i].commands >> id & 1) || !cli_options[i].built)
+        if (!(cli_options[i].commands >> id & 1))
             continue;
         buf_printf(out, "%s--%s", first ? "" : " ", cli_options[i].name);
         first = false;
@@ -199,8 +199,8 @@ static void put_man_options(enum cli_command_id id, struct buf *out)
         const struct cli_option *o = &cli_options[i];
         if (!(o->commands >> id & 1))
             continue;
-        buf_printf(out, ".TP\n.B \\-\\-%s%s%s\n%s%s.\n", o->name, o->argument ? " " : "",
-                   o->argument ? o->argument : "", o->built ? "" : "Not built yet: ", o->help);
+        buf_printf(out, ".TP\n.B \\-\\-%s%s%s\n%s.\n", o->name, o->argument ? " " : "",
+                   o->argument ? o->argument : "", o->help);
     }
 }
 

@@ -77,10 +77,6 @@ static bool check_count(const struct cli_option *o, const char *text, struct dia
 
 static bool check_choice(const struct cli_option *o, const char *text, struct diag_list *problems)
 {
-    if (o->choice_not_built && strcmp(text, o->choice_not_built) == 0) {
-        complain(problems, "not-built", NULL, "--%s %s is not built yet", o->name, text);
-        return false;
-    }
     if (job_choice_find(o->choices, o->choice_count, text) >= 0)
         return true;
     char known[300] = "known: ";
@@ -275,10 +271,6 @@ static void take_option(struct walk *w, enum cli_option_id id, const char *attac
             return;
         }
         value = w->words[w->at++];
-    }
-    if (!o->built) {
-        complain(w->problems, "not-built", NULL, "--%s is not built yet", o->name);
-        return;
     }
     if (w->line->values[id] && o->kind != CLI_FLAG)
         complain(w->problems, "given-twice", NULL, "--%s is given twice", o->name);

@@ -125,12 +125,10 @@ struct cli_option {
     const char *argument; /* as the help shows it; NULL for flags */
     const char *section;  /* line of the short help */
     uint32_t commands;    /* bit per cli_command_id */
-    bool built;           /* false: exits 2 and says so */
     bool setting;         /* may also come from the environment and from a settings file */
     double low, high;     /* CLI_COUNT, CLI_NUMBER */
     const char *const *choices;
     int choice_count;
-    const char *choice_not_built; /* one of them that exits 2 and says so; may be NULL */
     const char *help;
 };
 

@@ -12,7 +12,7 @@ bool preset_holds(enum cli_option_id id)
     uint32_t render = UINT32_C(1) << CLI_RENDER, explain = UINT32_C(1) << CLI_EXPLAIN;
     bool job = (cli_options[id].commands & render) && (cli_options[id].commands & explain) &&
                cli_options[id].kind != CLI_PATH && cli_options[id].kind != CLI_FLAG;
-    return cli_options[id].built && (job || id == CLI_HALF);
+    return job || id == CLI_HALF;
 }
 
 static enum cli_option_id option_of(const char *key)

@@ -144,11 +144,9 @@ static void add_depths(struct study *s, const struct job_spec *spec)
 static void add_choices(struct study *s, enum study_knob knob, enum cli_option_id option,
                         const char *const *names, int count, int own)
 {
-    for (int i = 0; i < count; i++) {
-        const char *missing = cli_options[option].choice_not_built;
-        if (i != own && (!missing || strcmp(missing, names[i]) != 0))
+    for (int i = 0; i < count; i++)
+        if (i != own)
             add(s, knob, option, names[i]);
-    }
 }
 
 static void add_roulettes(struct study *s, const struct job_spec *spec)
@@ -168,7 +166,7 @@ static void add_roulettes(struct study *s, const struct job_spec *spec)
 static void add_adaptive(struct study *s)
 {
     static const char *const labels[] = {"as base", "base / 4"};
-    for (int i = 0; i < 2 && cli_options[CLI_TARGET_ERROR].built; i++) {
+    for (int i = 0; i < 2; i++) {
         char most[STUDY_TEXT_BYTES];
         struct study_point *p = &s->points[s->point_count++];
         *p = (struct study_point){.knob = KNOB_ADAPTIVE, .work = i ? 4 : 1};

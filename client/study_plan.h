@@ -31,8 +31,8 @@ struct study_pilot {
 void study_plan_size(struct study *s, const struct job_spec *spec, bool fixed,
                      const struct study_pilot *pilot, double seconds);
 
-/* The points of a spec, most telling first; needs base_spp and lights. Knobs whose options are not
- * built, or that do nothing under the integrator or with so few lights, are left out. */
+/* The points of a spec, most telling first; needs base_spp and lights. Knobs that do nothing
+ * under the integrator or with so few lights are left out. */
 void study_plan_points(struct study *s, const struct job_spec *spec);
 
 /* Base renders that one repeat of all points, without presets, is worth. */
