@@ -16,7 +16,7 @@ static const double QUANTILE = 1.2816;
  * scenes did 1 (independent samples) to 1.9 (stratified ones, smooth pictures). */
 static const double POWER = 1.3, POWER_SPREAD = 0.3;
 /* A straight line is a model: what is left of it, of the logarithm. */
-static const double ERROR_SPREAD = 0.12, TIME_SPREAD = 0.12, COST_SPREAD = 0.12;
+static const double ERROR_SPREAD = 0.12, TIME_SPREAD = 0.22, COST_SPREAD = 0.14;
 /* Others on the machine stretch times, and not evenly: so much of the stretch's logarithm. */
 static const double STRETCH_SPREAD = 0.06, STRETCH_COST_SPREAD = 0.06;
 /* On a farm whose processor time is not to be seen. */
@@ -31,11 +31,11 @@ static const double STATED_SPREAD = 0.35;
 static const double SPP_LEAST = 4, LIMIT_EARLY_S = 0.3, LIMIT_SPREAD_S = 0.1, LIMIT_SPREAD = 0.03;
 static const double PIVOT_SPP = 16;
 /* What a claim costs: its upper bound must be under the target, and looks come in steps. */
-static const double CLAIM_FACTOR = 1.25;
+static const double CLAIM_FACTOR = 1.4;
 /* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
 static const double PILOT_PIXELS_MAX = 512.0 * 512.0;
 /* Where a render to a target ends, of the target. */
-static const double CLAIM_ERROR = 0.85, CLAIM_SPREAD = 0.2;
+static const double CLAIM_ERROR = 0.75, CLAIM_SPREAD = 0.2;
 
 bool predict_wanted(const struct cli_line *line)
 {

@@ -255,7 +255,7 @@ def part_predict(folder, count, first):
     """As many cases as asked for, one at a time; logarithms to base 2 of true over predicted."""
     rows = []
     nothing = (ROOT / "scenes/sphere.json", "--size", "1x1", "--spp", 1)
-    idle = numpy.median([processor_s(folder, *nothing)[0] for _ in range(9)])
+    idle = float(numpy.median([processor_s(folder, *nothing)[0] for _ in range(9)]))
     for number in range(first, first + count):
         rows.append(predicted_case(folder, number, idle))
         print(json.dumps(rows[-1]), flush=True)

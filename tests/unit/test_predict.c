@@ -123,8 +123,8 @@ static void test_target(void **state)
     (void)state;
     struct pilots p = pilots_of(1.5, 0, 0);
     struct job_spec spec = {.stop = JOB_STOP_ERROR, .spp = 65536, .target_error = 1e-4};
-    /* A quarter more for the claim, and 1.27 for samples that are no power of two. */
-    near(predict(&p, &spec).spp_mean, 16 * pow(1.25 * 1.27 * 0.01 / 1e-4, 1 / 1.5), 0.06);
+    /* 1.4 times the samples for the claim, and 1.27 for samples that are no power of two. */
+    near(predict(&p, &spec).spp_mean, 16 * pow(1.4 * 1.27 * 0.01 / 1e-4, 1 / 1.5), 0.06);
     for (int i = 0; i < PILOTS_MAX; i++)
         p.of[i].relmse = p.of[i].deviation = 0;
     struct prediction said = predict(&p, &spec);
@@ -155,8 +155,8 @@ static void test_stretch(void **state)
         p.of[i].core_s = p.of[i].cpu_s;
     struct prediction alone = predict(&p, &spec);
     near(alone.seconds, shared.seconds, 1e-9);
-    assert_true(alone.seconds_high / alone.seconds_low < 1.3);
-    assert_true(shared.seconds_high / shared.seconds_low > 1.4);
+    assert_true(alone.seconds_high / alone.seconds_low < 1.65);
+    assert_true(shared.seconds_high / shared.seconds_low > 1.65);
     p.of[1].cpu_s = (double)NAN;
     struct prediction unseen = predict(&p, &spec);
     assert_true(isnan(unseen.core_s) && unseen.seconds_high > alone.seconds_high);
