@@ -6,3 +6,6 @@ tilery_test(test_accel LABEL prop TIMEOUT 300 LINKS tl_render Threads::Threads m
 # Trees built when a ray first meets them.
 tilery_test(test_accel_lazy LABEL prop TIMEOUT 300 LINKS tl_render Threads::Threads m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/prop/test_accel_lazy.c ${trace_kit})
+# Instances of every shape.
+tilery_test(test_accel_stretched LABEL prop TIMEOUT 300 LINKS tl_render Threads::Threads m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/prop/test_accel_stretched.c ${trace_kit})

@@ -71,34 +71,72 @@ static void instance_ref(const struct accel_object *o, const struct bvh *mesh, s
     }
 }
 
-/* A transform so lopsided that rounding on the way there and back could leave the padded
- * box: its instance is given all of space. */
-static bool instance_lopsided(const struct accel_object *o)
+/* A point that is off by s in mesh space is off by s |T| in the scene's; this is how much of
+ * R = |o|max + reach that is at most, for s = R of the moved ray (docs/TRACING.md, 1). */
+static double instance_stretch(const struct accel_object *o, double mesh_reach, double scene_reach)
 {
-    const double condition_max = 0x1p18;
-    double condition = 0.0;
+    double out = 0.0, in = 0.0, offset = 0.0;
     for (int k = 0; k < 3; k++) {
-        double spread = 0.0;
-        for (int j = 0; j < 3; j++)
-            for (int i = 0; i < 3; i++)
-                spread += fabs(o->to_scene[4 * k + j]) * fabs(o->from_scene[4 * j + i]);
-        condition = exact_max(condition, spread);
+        const double *to = &o->to_scene[4 * k], *from = &o->from_scene[4 * k];
+        out = exact_max(fabs(to[0]) + fabs(to[1]) + fabs(to[2]), out);
+        in = exact_max(fabs(from[0]) + fabs(from[1]) + fabs(from[2]), in);
+        offset = exact_max(fabs(from[3]), offset);
     }
-    return !(condition <= condition_max);
+    return out * exact_max(in, (offset + mesh_reach) / scene_reach);
 }
 
-static void lopsided_widen(const struct accel_object *objects, struct bvh_ref *refs, size_t count)
+/* By how much of R a point is off that goes to mesh space and back, since one matrix is the other's
+ * inverse but for rounding. */
+static double instance_drift(const struct accel_object *o, double scene_reach)
+{
+    double most = 0.0;
+    for (int k = 0; k < 3; k++) {
+        const double *to = &o->to_scene[4 * k], *from = o->from_scene;
+        double turn = 0.0, shift = to[3];
+        for (int i = 0; i < 3; i++) {
+            turn += fabs((to[0] * from[i] + to[1] * from[4 + i]) + to[2] * from[8 + i] - (k == i));
+            shift += to[i] * from[4 * i + 3];
+        }
+        most = exact_max(most, exact_max(turn, fabs(shift) / scene_reach));
+    }
+    return most;
+}
+
+/* Up to STRETCH_PLAIN the slack of a moved ray stays within the padding of the scene's boxes; from
+ * there on it is made smaller, as long as it stays well above the rounding of doubles. */
+static const double STRETCH_PLAIN = 0x1p4, STRETCH_MAX = 0x1p21, DRIFT_MAX = 0x1p-27;
+
+/* A transform so lopsided that even so a hit could leave the padded box: its instance is given all
+ * of space. */
+static void lopsided_widen(const struct accel *a, struct bvh_ref *refs, size_t count, double reach)
 {
     for (size_t i = 0; i < count; i++) {
         if (!(refs[i].primitive & BVH_REF_OBJECT)) /* then its owner may be a mesh */
             continue;
-        const struct accel_object *o = &objects[refs[i].owner];
-        if (o->type != ACCEL_INSTANCE || !instance_lopsided(o))
+        const struct accel_object *o = &a->objects[refs[i].owner];
+        if (o->type != ACCEL_INSTANCE ||
+            (instance_stretch(o, a->mesh_trees[o->mesh].reach, reach) <= STRETCH_MAX &&
+             instance_drift(o, reach) <= DRIFT_MAX))
             continue;
         for (int k = 0; k < 3; k++) {
             refs[i].lo[k] = -0x1p60f;
             refs[i].hi[k] = 0x1p60f;
         }
+    }
+}
+
+/* The part of the slack that rays have in each instance. */
+static void slacks_share(struct accel *a)
+{
+    for (size_t i = 0; i < a->object_count; i++) {
+        const struct accel_object *o = &a->objects[i];
+        if (o->type != ACCEL_INSTANCE)
+            continue;
+        double stretch = instance_stretch(o, a->mesh_trees[o->mesh].reach, a->scene_tree.reach);
+        double share = 1.0;
+        while (!(share * stretch <= STRETCH_PLAIN) && share * STRETCH_MAX > STRETCH_PLAIN)
+            share *= 0.5;
+        a->motions[i].slack_share = share;
     }
 }
 
@@ -234,7 +272,7 @@ static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
     tree_measure(refs, count, runner, &box, &how.edge);
     if (how.place && how.place->edge > how.edge)
         how.edge = how.place->edge;
-    lopsided_widen(a->objects, refs, count);
+    lopsided_widen(a, refs, count, box.reach);
     if (a->options.builder == JOB_BUILDER_NONE)
         mem_free(refs);
     else
@@ -423,6 +461,7 @@ static enum err build(struct accel *a, const struct accel_input *input,
     if (!a->saved)
         TL_TRY(trees_build(a, runner, from->plan));
     trees_link(a);
+    slacks_share(a);
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
     a->stats.sah_binary = a->scene_tree.sah_binary;
@@ -558,6 +597,7 @@ bool accel_instance_ray(const struct accel *a, uint32_t object, const struct tra
     if (!isfinite(org[0]) || !isfinite(org[1]) || !isfinite(org[2]) ||
         !trace_ray_init(org, dir, ray->scale, a->mesh_trees[o->mesh].reach, a->pad, out))
         return false;
+    out->slack *= a->motions[object].slack_share;
     *rescale = out->rescale;
     return true;
 }

@@ -35,6 +35,7 @@ extern const struct trace_kernel trace_sse2_fast, trace_avx2_fast, trace_avx512_
 /* An instance's matrices by column, for whole vectors to be loaded. */
 struct accel_motion {
     double from_scene[4][4], to_scene[3][4];
+    double slack_share; /* of a ray's slack, once moved: a power of two, 1 unless it stretches */
 } __attribute__((aligned(32)));
 
 /* Objects whose trees are built when a ray first meets them (accel_lazy.h). */

@@ -6,7 +6,7 @@
 #include "worker/render/accel_parts.h"
 
 /* Raised with every change of what bvh.h lays out or the builder means by it. */
-enum { TREES_LAYOUT = 2, ARENA_ALIGN = 64 };
+enum { TREES_LAYOUT = 3, ARENA_ALIGN = 64 };
 
 struct saved_head {
     char magic[8];

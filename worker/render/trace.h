@@ -28,7 +28,8 @@ struct trace_ray {
     uint32_t row[4];  /* bytes to the row of bvh_node.bounds with the near planes; those of the far
                          ones are TRACE_ROW bytes before or behind: row ^ TRACE_ROW */
     uint32_t axis[4]; /* what was permuted to where */
-    double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R */
+    double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R; less
+                         where an instance stretches */
     double rescale, unscale; /* what dir was scaled by here, and its inverse */
     double scale; /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
     float filter_slope; /* of a block with edges <= e: an edge function's float error is below */

@@ -166,7 +166,10 @@ static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
     org = d4_add(d4_add(org, d4_mul(z, d4_splat(p[2]))), _mm256_load_pd(from[3]));
     d4 dir = d4_add(d4_mul(x, d4_splat(v[0])), d4_mul(y, d4_splat(v[1])));
     dir = d4_add(dir, d4_mul(z, d4_splat(v[2])));
-    return ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, out);
+    if (!ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, out))
+        return false;
+    out->slack *= a->motions[object].slack_share;
+    return true;
 }
 
 static inline d4 ready_turn(const double to[3][4], d4 v)
