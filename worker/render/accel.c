@@ -125,7 +125,7 @@ static void lopsided_widen(const struct accel *a, struct bvh_ref *refs, size_t c
     }
 }
 
-/* The part of the slack that rays have in each instance. */
+/* The part of the slack that rays have in each instance, and of the float side's. */
 static void slacks_share(struct accel *a)
 {
     for (size_t i = 0; i < a->object_count; i++) {
@@ -137,6 +137,7 @@ static void slacks_share(struct accel *a)
         while (!(share * stretch <= STRETCH_PLAIN) && share * STRETCH_MAX > STRETCH_PLAIN)
             share *= 0.5;
         a->motions[i].slack_share = share;
+        a->motions[i].filter_share = stretch <= TRACE_STRETCH_FAST ? 1.0f : NAN;
     }
 }
 
@@ -598,6 +599,7 @@ bool accel_instance_ray(const struct accel *a, uint32_t object, const struct tra
         !trace_ray_init(org, dir, ray->scale, a->mesh_trees[o->mesh].reach, a->pad, out))
         return false;
     out->slack *= a->motions[object].slack_share;
+    out->filter_slack *= a->motions[object].filter_share;
     *rescale = out->rescale;
     return true;
 }

@@ -36,6 +36,7 @@ extern const struct trace_kernel trace_sse2_fast, trace_avx2_fast, trace_avx512_
 struct accel_motion {
     double from_scene[4][4], to_scene[3][4];
     double slack_share; /* of a ray's slack, once moved: a power of two, 1 unless it stretches */
+    float filter_share; /* of its filter_slack: 1, or not a number where float is not to decide */
 } __attribute__((aligned(32)));
 
 /* Objects whose trees are built when a ray first meets them (accel_lazy.h). */

@@ -54,8 +54,13 @@ struct trace_best {
 /* Of unpacked leaves, three are looked at once: the best hit's, the pending one and the next. */
 enum { TRACE_ROOM = 4 };
 
-/* Units of 2^-24 R by which boxes are widened; where float decides, by its errors too. */
-enum { TRACE_PAD = 9, TRACE_PAD_FAST = 41 };
+/* Units of 2^-24 R by which boxes are widened; where float decides, by its errors too, as far as an
+ * instance may stretch them: where one stretches more, double decides. */
+enum {
+    TRACE_PAD = 9,
+    TRACE_STRETCH_FAST = 8,
+    TRACE_PAD_FAST = TRACE_PAD + 32 * TRACE_STRETCH_FAST
+};
 
 /* Readies a ray for a tree of that reach: scales `dir`, which the caller has scaled by `outer`
  * already. `pad` is one of the above. False if `dir` is zero or not finite; then *out is garbage.

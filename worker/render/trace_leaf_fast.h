@@ -7,12 +7,16 @@
  * error bound of its t is not met: neither the surface a ray starts on nor the lamp it is
  * aimed at. Where that bound is coarse, for needles and along a surface, double decides. So
  * hits are a function of ray, segment, triangle and reach alone here too. A hit's weights are
- * float's: its point is on its triangle as closely as in double, but beside the ray.
+ * float's: its point is on its triangle as closely as in double, but beside the ray. A ray whose
+ * filter_slack is not a number is in an instance that would stretch float's errors: of it all that
+ * the filter leaves is decided in double.
  *
  * Included by trace_leaf.h alone. Pure; any thread. Bounds: docs/TRACING.md. Tests: test_accel.
  */
 #ifndef WORKER_RENDER_TRACE_LEAF_FAST_H
 #define WORKER_RENDER_TRACE_LEAF_FAST_H
+
+#include <math.h>
 
 /* An open interval of t, and floats around it for boxes; `to` comes down with hits. */
 struct leaf_span {
@@ -74,6 +78,14 @@ static inline f4 leaf_depth_error(const struct trace_ray *r, const struct leaf_e
     return _mm_add_ps(error, _mm_set1_ps(2.0f * r->filter_slack));
 }
 
+/* The lanes that double could accept. */
+static __attribute__((noinline)) unsigned
+leaf_doubtful(const struct trace_ray *r, const struct bvh_leaf *leaf, uint32_t edge_bits)
+{
+    struct leaf_edges e;
+    return leaf_filter(r, leaf, edge_bits, &e);
+}
+
 static inline bool leaf_decide_float(const struct trace_ray *r, const struct bvh_leaf *leaf,
                                      uint32_t edge_bits, const struct leaf_span *s,
                                      struct leaf_float *out)
@@ -82,6 +94,8 @@ static inline bool leaf_decide_float(const struct trace_ray *r, const struct bvh
     struct leaf_edges e;
     leaf_filter(r, leaf, edge_bits, &e);
     unsigned lanes = ~m4_bits(f4_less(e.agree, zero)) & 0xf;
+    if (__builtin_expect(isnan(r->filter_slack), 0)) /* then all of them are open */
+        lanes = leaf_doubtful(r, leaf, edge_bits);
     if (!lanes)
         return false;
     for (int i = 0; i < 3; i++)

@@ -169,6 +169,7 @@ static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
     if (!ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, out))
         return false;
     out->slack *= a->motions[object].slack_share;
+    out->filter_slack *= a->motions[object].filter_share;
     return true;
 }
 
