@@ -271,8 +271,9 @@ static void check_rules(void)
     uint32_t nothing = kit_material(&s, SCENE_MATERIAL_DIFFUSE, &m);
     m->alpha_used = true;
     m->alpha = 0;
-    s.objects[add_quad(&s, 0.5, nothing)].transform[3] = 100; /* no extent either */
-    (void)kit_material(&s, SCENE_MATERIAL_MIRROR, &m);        /* of no object */
+    uint32_t unseen = add_quad(&s, 0.5, nothing);      /* moves the objects */
+    s.objects[unseen].transform[3] = 100;              /* no extent either */
+    (void)kit_material(&s, SCENE_MATERIAL_MIRROR, &m); /* of no object */
     scene_check(&s);
 
     struct package p = check_scene("all rules", &s);
