@@ -93,5 +93,7 @@ bool trace_ray_init(const double org[3], const double dir[3], double outer, doub
     slabs_ready(out, _mm_setr_ps((float)org[0], (float)org[1], (float)org[2], 0.0f),
                 _mm_setr_ps((float)out->dir[0], (float)out->dir[1], (float)out->dir[2], 0.0f),
                 (float)(pad * 0x1p-24 * size));
+    if (pad == TRACE_PAD_FAST && size > TRACE_FAR_FAST * reach)
+        out->filter_slack = NAN;
     return true;
 }

@@ -55,11 +55,13 @@ struct trace_best {
 enum { TRACE_ROOM = 4 };
 
 /* Units of 2^-24 R by which boxes are widened; where float decides, by its errors too, as far as an
- * instance may stretch them: where one stretches more, double decides. */
+ * instance may stretch them: where one stretches more, double decides. So it does for a ray from
+ * TRACE_FAR_FAST reaches away, of which float would leave less than half of its bits. */
 enum {
     TRACE_PAD = 9,
     TRACE_STRETCH_FAST = 8,
-    TRACE_PAD_FAST = TRACE_PAD + 32 * TRACE_STRETCH_FAST
+    TRACE_PAD_FAST = TRACE_PAD + 32 * TRACE_STRETCH_FAST,
+    TRACE_FAR_FAST = 1 << 12
 };
 
 /* Readies a ray for a tree of that reach: scales `dir`, which the caller has scaled by `outer`

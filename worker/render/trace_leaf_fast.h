@@ -8,8 +8,8 @@
  * aimed at. Where that bound is coarse, for needles and along a surface, double decides. So
  * hits are a function of ray, segment, triangle and reach alone here too. A hit's weights are
  * float's: its point is on its triangle as closely as in double, but beside the ray. A ray whose
- * filter_slack is not a number is in an instance that would stretch float's errors: of it all that
- * the filter leaves is decided in double.
+ * filter_slack is not a number comes from far away, or is in an instance that would stretch float's
+ * errors: of it all that the filter leaves is decided in double.
  *
  * Included by trace_leaf.h alone. Pure; any thread. Bounds: docs/TRACING.md. Tests: test_accel.
  */

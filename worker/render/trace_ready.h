@@ -9,6 +9,7 @@
 #define WORKER_RENDER_TRACE_READY_H
 
 #include "worker/render/accel_parts.h"
+#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -141,6 +142,10 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct 
     out->filter_spread = 13.8f * steep;
     out->filter_depth = 2.0f * steep * _mm_cvtss_f32(slack);
     ready_slabs(out, _mm256_cvtpd_ps(org), _mm256_cvtpd_ps(scaled), _mm_movehdup_ps(bounds_f));
+#ifdef TRACE_FAST
+    if (__builtin_expect(_mm256_cvtsd_f64(far) > TRACE_FAR_FAST * reach, 0))
+        out->filter_slack = NAN;
+#endif
     return true;
 }
 
