@@ -593,6 +593,7 @@ static struct film_error bar_error(uint32_t hits)
     film_error_estimate(f, &e);
     assert_true(e.known);
     film_free(f);
+    grid_release(&r.grid);
     return e;
 }
 
