@@ -3,7 +3,7 @@ import pytest
 
 import proxy as faulty
 from farm import SEED_SCENE, Farm, tilery, wait_until
-from test_master_wire import tile_encode
+from scripted import tile_encode
 
 WORK = ("--size", "96x96", "--spp", 32, "--tile", 8)
 # Faults that slow a connection last; the others strike so many connections, then let them through.
