@@ -231,40 +231,18 @@ static enum err place_mesh(struct render_scene *rs, const struct scene_mesh *m,
     return out->indices ? ERR_OK : ERR_NOMEM;
 }
 
-static const float *shared_uvs(struct render_scene *rs, const struct scene_mesh *m,
-                               struct mesh_use *use)
+/* What each vertex has so many values of: one copy for all objects of the mesh, made for the first
+ * that asks and kept in *shared. NULL: out of memory. */
+static const float *shared_values(struct render_scene *rs, const struct scene_mesh *m,
+                                  const float *values, uint32_t per_vertex, const float **shared)
 {
-    if (!use->uvs) {
-        float *copy = arena_alloc(&rs->arena, m->vertex_count, 2 * sizeof *copy);
+    if (!*shared) {
+        float *copy = arena_alloc(&rs->arena, m->vertex_count, per_vertex * sizeof *copy);
         if (copy)
-            memcpy(copy, m->uvs, (size_t)m->vertex_count * 2 * sizeof *copy);
-        use->uvs = copy;
+            memcpy(copy, values, (size_t)m->vertex_count * per_vertex * sizeof *copy);
+        *shared = copy;
     }
-    return use->uvs;
-}
-
-static const float *shared_colors(struct render_scene *rs, const struct scene_mesh *m,
-                                  struct mesh_use *use)
-{
-    if (!use->colors) {
-        float *copy = arena_alloc(&rs->arena, m->vertex_count, 3 * sizeof *copy);
-        if (copy)
-            memcpy(copy, m->colors, (size_t)m->vertex_count * 3 * sizeof *copy);
-        use->colors = copy;
-    }
-    return use->colors;
-}
-
-static const float *shared_alphas(struct render_scene *rs, const struct scene_mesh *m,
-                                  struct mesh_use *use)
-{
-    if (!use->alphas) {
-        float *copy = arena_alloc(&rs->arena, m->vertex_count, sizeof *copy);
-        if (copy)
-            memcpy(copy, m->alphas, m->vertex_count * sizeof *copy);
-        use->alphas = copy;
-    }
-    return use->alphas;
+    return *shared;
 }
 
 /* Instances need an orientation-keeping transform that can be inverted with some accuracy. */
@@ -354,11 +332,11 @@ static enum err build_object(struct render_scene *rs, const struct scene *scene,
         return ERR_OK;
     }
     const struct scene_mesh *m = &scene->meshes[o->mesh];
-    if (m->uvs && !shared_uvs(rs, m, use))
+    if (m->uvs && !shared_values(rs, m, m->uvs, 2, &use->uvs))
         return ERR_NOMEM;
-    if (m->colors && use->reads_colors && !shared_colors(rs, m, use))
+    if (m->colors && use->reads_colors && !shared_values(rs, m, m->colors, 3, &use->colors))
         return ERR_NOMEM;
-    if (m->alphas && use->reads_alphas && !shared_alphas(rs, m, use))
+    if (m->alphas && use->reads_alphas && !shared_values(rs, m, m->alphas, 1, &use->alphas))
         return ERR_NOMEM;
     if (wants_instance(o, m, use))
         return build_instance(rs, scene, o, use, out);
