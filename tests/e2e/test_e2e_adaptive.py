@@ -66,7 +66,6 @@ def test_a_plan_repeats_the_bits(golden, tmp_path):
     assert (part == rgb[5:35, 37:57]).all()
 
 
-@pytest.mark.skipif(SLOW > 1, reason="too few samples under the sanitizers to tell")
 def test_a_plan_spreads_samples_as_well(tmp_path):
     """A plan of 64 samples everywhere is about as good as --spp 64, whose samples lie in sequences
     that were made for 64. They were in pieces of 1, 1, 2, 4, 8, 16 once: 2.2 times the error."""
