@@ -45,8 +45,10 @@ int64_t farm_wall_us(void)
 static void send_lease(struct farm *f, const struct sched_action *a)
 {
     struct job *job = farm_job(f, a->job);
-    if (job)
+    if (job) {
         jobs_started(f, job);
+        rate_begin(&job->rate, farm_now_ms(f));
+    }
     struct message m = {.type = FRAME_LEASE};
     m.lease = (tilery_Lease){.job = a->job,
                              .cell_begin = a->unit.cell_begin,
@@ -222,13 +224,6 @@ static void on_tick(uv_timer_t *timer)
     workers_tick(f);
     jobs_tick(f);
     job_plans_tick(f);
-    int64_t now = farm_now_ms(f);
-    if (now - f->rays_before_ms >= 2000) {
-        f->rays_s = (double)(f->counters.rays - f->rays_before) * 1000.0 /
-                    (double)(now - f->rays_before_ms);
-        f->rays_before = f->counters.rays;
-        f->rays_before_ms = now;
-    }
 }
 
 static void on_store(uv_async_t *async)

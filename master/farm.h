@@ -28,6 +28,7 @@
 #include "master/events.h"
 #include "master/film.h"
 #include "master/job_plan.h"
+#include "master/rate.h"
 #include "master/sched/sched.h"
 #include "master/store.h"
 #include "proto/transport.h"
@@ -92,7 +93,7 @@ struct job {
 
     /* For the report. */
     int64_t ready_us, last_result_us; /* the first of this master */
-    uint64_t rate_samples;            /* samples at the last rate sample */
+    struct rate rate;                 /* of rays */
     uint64_t contributors; /* workers that gave results: bits of worker ids are in `seen` */
     uint32_t *seen;        /* ids of contributors, sorted by arrival */
     size_t seen_capacity;
@@ -182,9 +183,6 @@ struct farm {
 
     bool stopping;
     struct farm_counters counters;
-    double rays_s; /* of the whole farm, over the last seconds */
-    uint64_t rays_before;
-    int64_t rays_before_ms;
 };
 
 struct farm_options {
@@ -279,8 +277,10 @@ void jobs_changed(struct farm *f, struct job *job, bool urgent);
 /* Stores the job's row now; retried every second until it works. */
 void jobs_store_record(struct farm *f, struct job *job);
 
-/* Share done, and seconds left when known. */
 double jobs_done_share(const struct farm *f, const struct job *job);
+
+/* Rays a second over the last seconds; 0: nobody works at it, or no result has come yet. */
+double jobs_rays_s(const struct farm *f, const struct job *job);
 /* Fills info's seconds left where the job knows them better than the scheduler. */
 void jobs_left(const struct job *job, struct sched_job_info *info);
 /* Why it is not moving, or "". */

@@ -203,6 +203,14 @@ static uint32_t connected(const struct farm *f, uint32_t *threads)
     return count;
 }
 
+static double rays_s(const struct farm *f)
+{
+    double sum = 0;
+    for (size_t i = 0; i < f->job_count; i++)
+        sum += jobs_rays_s(f, f->jobs[i]);
+    return sum;
+}
+
 void http_get_farm(struct request *r)
 {
     uint64_t counts[JOB_STATE_COUNT];
@@ -214,7 +222,7 @@ void http_get_farm(struct request *r)
     for (int i = 0; i < JOB_STATE_COUNT; i++)
         buf_printf(&b, "%s\"%s\":%" PRIu64, i ? "," : "", job_state_names[i], counts[i]);
     buf_printf(&b, "},\"workers\":%" PRIu32 ",\"threads\":%" PRIu32 ",\"rays_s\":%.0f,\"listen\":",
-               workers, threads, r->farm->rays_s);
+               workers, threads, rays_s(r->farm));
     json_put_text(&b, listener_address(r->farm->listener));
     buf_printf(&b, ",\"chunks\":%zu}\n", chunks_count(r->farm->chunks));
     request_reply(r, MHD_HTTP_OK, "application/json", &b);

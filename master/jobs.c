@@ -106,6 +106,19 @@ const char *jobs_note(const struct farm *f, const struct job *job)
     return "";
 }
 
+double jobs_rays_s(const struct farm *f, const struct job *job)
+{
+    return rate_per_s(&job->rate, farm_now_ms(f));
+}
+
+/* Nobody works at it: the rate begins anew with the next lease. */
+static void rest_rate(struct farm *f, struct job *job)
+{
+    struct sched_job_info info = {0};
+    if (!job->in_sched || !sched_job_info(f->sched, job->rec.id, &info) || info.workers == 0)
+        rate_end(&job->rate);
+}
+
 static void put_news(struct farm *f, struct job *job)
 {
     struct sched_job_info info = {0};
@@ -127,7 +140,7 @@ static void put_news(struct farm *f, struct job *job)
     else
         buf_printf(&b, "null");
     buf_printf(&b, ",\"workers\":%" PRIu32 ",\"rays_s\":%.0f,\"note\":", known ? info.workers : 0,
-               known && info.workers ? f->rays_s : 0.0);
+               jobs_rays_s(f, job));
     json_put_text(&b, jobs_note(f, job));
     buf_put_u8(&b, '}');
     buf_put_u8(&b, '\0');
@@ -756,6 +769,8 @@ void jobs_tick(struct farm *f)
             jobs_store_record(f, job);
         if (job->news_due && farm_now_ms(f) - job->news_at_ms >= NEWS_MS)
             put_news(f, job);
+        if (job->rate.running)
+            rest_rate(f, job);
         if (job->rec.state == JOB_STATE_RENDERING)
             job_estimate(f, job);
         (void)expire(f, i);

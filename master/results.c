@@ -148,6 +148,9 @@ static void take_decoded(struct result *r)
     f->counters.results++;
     f->counters.samples += r->record.samples;
     f->counters.rays += r->record.rays;
+    struct job *job = farm_job(f, r->record.job);
+    if (job)
+        rate_add(&job->rate, farm_now_ms(f), r->record.rays);
     if (w)
         w->rays += r->record.rays;
     if (w && r->record.render_us > 0) {

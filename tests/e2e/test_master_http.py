@@ -524,6 +524,26 @@ def test_events_of_one_job(farm, call, job):
     check_problem(call("GET", "/api/v1/events?job=j9999"), 404, "unknown-job")
 
 
+def test_rate_from_the_first_result_on(tmp_path):
+    """The rays a second of a fresh master's first job. It said a thousandth of them until it had
+    run for four seconds."""
+    with Farm(tmp_path) as made:
+        made.worker()
+        job = made.submit(SEED_SCENE, "--spp", 24 if SLOW == 1 else 6)
+        events = Events(made, f"?job={job}")
+        rates = []
+        while True:
+            event = events.next()
+            if event["event"] == "job" and event["data"]["done"] > 0.2:
+                rates.append(event["data"]["rays_s"])
+                if event["data"]["done"] == 1:
+                    break
+        report = made.wait_job(job)
+        true = report["rays"] / report["seconds"]["render"]
+        told = [rate for rate in rates if rate > 0]
+        assert told and all(true / 8 < rate < true * 8 for rate in told), (true, rates)
+
+
 def test_many_readers_do_not_slow_the_master(farm, call, job):
     readers = [Events(farm) for _ in range(50)]
     for _ in range(20):
