@@ -242,6 +242,27 @@ static void test_stretched_instances_agree(void **state)
     assert_int_equal(bad, 0);
 }
 
+/* A ray along y that passes needle 20 so closely that float cannot place t on it, and meets the
+ * sheet just behind. What may be left to double once was what lay about the best hit so far, so
+ * that an instance's hits hung on whether the sheet had been met before: t was that of the needle
+ * in one tree and that of the sheet in another. */
+static void test_hits_do_not_hang_on_what_was_met_before(void **state)
+{
+    (void)state;
+    static struct stage s;
+    uint64_t seed = 46;
+    struct ray rays[] = {{{0x1.a582d5e377cdcp-6, -0x1.ff139cae1a612p+3, 0x1.30bdb9c5516cfp-5},
+                          {0, 0x1p+4, 0},
+                          0,
+                          (double)INFINITY},
+                         {{0x1.a582d5e377cdcp-6, -0x1.ff139cae1a612p+3, 0x1.30bdb9c5516cfp-5},
+                          {0, 0x1p+44, 0},
+                          0,
+                          0x1.8p-40}};
+    stage_set(&s, &moves[0], &seed);
+    assert_int_equal(count_fast(&s, rays, sizeof rays / sizeof *rays), 0);
+}
+
 /* --- Closed surfaces ----------------------------------------------------------- */
 
 /* Through a vertex, a point of an edge or any point of a ball, and one well inside: from there, or
@@ -316,6 +337,7 @@ int main(int argc, char **argv)
     is_long = kit_long(argc, argv);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_stretched_instances_agree),
+        cmocka_unit_test(test_hits_do_not_hang_on_what_was_met_before),
         cmocka_unit_test(test_stretched_balls_do_not_leak),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -43,6 +43,7 @@ struct trace_ray {
  * whose `primitive` then counts through all its objects. */
 struct trace_best {
     double t;
+    double tmax; /* where the ray ends, as t did at first; read where float decides */
     uint32_t object, primitive;
     const struct bvh_leaf *leaf; /* where a triangle was met, and its lane; or NULL */
     struct bvh_leaf *room;       /* compact trees: TRACE_ROOM leaves to unpack to */

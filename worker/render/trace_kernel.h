@@ -134,9 +134,11 @@ static __attribute__((noinline)) void object_closest(const struct accel *a,
         return;
     struct trace_best moved = *best;
     moved.t *= inner.unscale;
+    moved.tmax *= inner.unscale;
     mesh_closest(a, &a->mesh_trees[o->mesh], &inner, tmin * inner.unscale, number, &moved);
     if (moved.found && moved.object == number) {
         moved.t *= inner.rescale;
+        moved.tmax = best->tmax;
         *best = moved;
     }
 }
@@ -227,7 +229,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
     struct slabs slabs;
     slabs_init(&slabs, r);
-    struct leaf_span span = leaf_span_of(tmin, best->t);
+    struct leaf_span span = leaf_span_left(tmin, best);
     struct leaf_pending pending = {.leaf = NULL, .open = NULL};
     f8 from = f8_splat(span.from), entry;
     enum waiting waits;
@@ -366,8 +368,10 @@ static void kernel_closest(const struct accel *a, const struct ray *ray, struct 
         trace_plain.closest(a, ray, out);
         return;
     }
-    if (ready_scene_ray(a, ray, &ready, &tmin, &best.t))
+    if (ready_scene_ray(a, ray, &ready, &tmin, &best.tmax)) {
+        best.t = best.tmax;
         mesh_closest(a, &a->scene_tree, &ready, tmin, SCENE_NONE, &best);
+    }
     if (best.found)
         ready_hit(a, &ready, &best, out);
     else
@@ -421,7 +425,8 @@ static size_t guests_ready(struct guest *guests, const struct accel *a, const st
         g->best =
             (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = ROOM_OF(g)};
         g->walks =
-            rays[i].tmin >= 0.0 && ready_scene_ray(a, &rays[i], &g->ray, &g->tmin, &g->best.t);
+            rays[i].tmin >= 0.0 && ready_scene_ray(a, &rays[i], &g->ray, &g->tmin, &g->best.tmax);
+        g->best.t = g->best.tmax;
     }
     return used;
 }
@@ -490,8 +495,9 @@ static bool runner_start(struct runner *s, const struct accel *a, const struct r
     s->best =
         (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = ROOM_OF(s)};
     double tmin;
-    if (!ready_scene_ray(a, ray, &s->ray, &tmin, &s->best.t))
+    if (!ready_scene_ray(a, ray, &s->ray, &tmin, &s->best.tmax))
         return false;
+    s->best.t = s->best.tmax;
     slabs_init(&s->slabs, &s->ray);
     s->span = leaf_span_of(tmin, s->best.t);
     s->pending.leaf = s->pending.open = NULL;

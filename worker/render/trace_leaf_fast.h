@@ -32,6 +32,15 @@ static inline struct leaf_span leaf_span_of(double tmin, double tmax)
     return (struct leaf_span){tmin, round_down(tmin), round_up(tmax), (float)tmin, last};
 }
 
+/* The same where some t is found already: that stops the walk, but which ends float can place is a
+ * matter of the segment alone, or an instance's answer would hang on what was met before it. */
+static inline struct leaf_span leaf_span_left(double tmin, const struct trace_best *best)
+{
+    struct leaf_span s = leaf_span_of(tmin, best->tmax);
+    s.to = round_up(best->t);
+    return s;
+}
+
 struct leaf_float {
     f4 t, v, w, det;   /* as leaf_hit has them */
     unsigned accepted; /* lanes */

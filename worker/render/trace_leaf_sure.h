@@ -47,6 +47,12 @@ static inline struct leaf_span leaf_span_of(double tmin, double tmax)
 
 #endif
 
+/* The same of what is left of a ray. */
+static inline struct leaf_span leaf_span_left(double tmin, const struct trace_best *best)
+{
+    return leaf_span_of(tmin, best->t);
+}
+
 /* The interval in which t of a lane lies whose edge functions are off by less than m and add up
  * to over 9 m, given 4.6 m times the range of its depths. */
 struct leaf_times {
