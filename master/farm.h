@@ -274,6 +274,9 @@ void jobs_log(struct farm *f, struct job *job, const char *format, ...) TL_PRINT
  */
 void jobs_changed(struct farm *f, struct job *job, bool urgent);
 
+/* Sends what was not urgent, in its time. */
+void job_news_tick(struct farm *f, struct job *job);
+
 /* Stores the job's row now; retried every second until it works. */
 void jobs_store_record(struct farm *f, struct job *job);
 
