@@ -161,6 +161,19 @@ static bool check_aovs(const struct cli_option *o, const char *text, struct diag
     return false;
 }
 
+static bool check_tags(const struct cli_option *o, const char *text, struct diag_list *problems)
+{
+    struct tags tags;
+    char bad[TAG_BYTES];
+    if (tags_parse(text, &tags, bad) && tags.count > 0)
+        return true;
+    complain(problems, "bad-value",
+             "at most 8 different tags of " TAG_EXPECTED ", as in big,site-b",
+             "--%s %s: \"%s\" is no tag, comes twice or is one too many", o->name, text,
+             text[0] ? bad : "");
+    return false;
+}
+
 bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *problems)
 {
     const struct cli_option *o = &cli_options[id];
@@ -180,6 +193,8 @@ bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *
         return check_choice(o, text, problems);
     case CLI_AOVS:
         return check_aovs(o, text, problems);
+    case CLI_TAGS:
+        return check_tags(o, text, problems);
     case CLI_TEXT:
     case CLI_PATH:
         if (text[0] != '\0')
@@ -408,6 +423,16 @@ uint32_t cli_aovs(const struct cli_line *line)
     bool ok = aov_parse(cli_text(line, CLI_AOV), &set, NULL);
     TL_ASSERT(ok);
     return set;
+}
+
+struct tags cli_tags(const struct cli_line *line)
+{
+    struct tags tags = {.count = 0};
+    if (cli_has(line, CLI_TAGS_WANTED)) {
+        bool ok = tags_parse(cli_text(line, CLI_TAGS_WANTED), &tags, NULL);
+        TL_ASSERT(ok);
+    }
+    return tags;
 }
 
 struct job_crop cli_crop(const struct cli_line *line)

@@ -65,6 +65,7 @@ enum cli_kind {
     CLI_CROP,   /* X,Y,W,H */
     CLI_CHOICE,
     CLI_AOVS, /* names of aov.h, with commas */
+    CLI_TAGS, /* words of tags.h, with commas */
 };
 
 enum cli_option_id {
@@ -94,6 +95,7 @@ enum cli_option_id {
     CLI_THREADS,
     CLI_NAME,
     CLI_PRIORITY_N,
+    CLI_TAGS_WANTED,
     CLI_FRAMES,
     CLI_FRAME,
     CLI_WAIT,
@@ -167,6 +169,7 @@ double cli_share(const struct cli_line *line, enum cli_option_id id);
 int cli_choice(const struct cli_line *line, enum cli_option_id id);
 void cli_size(const struct cli_line *line, uint32_t *width, uint32_t *height);
 uint32_t cli_aovs(const struct cli_line *line);
+struct tags cli_tags(const struct cli_line *line); /* none: not given */
 struct job_crop cli_crop(const struct cli_line *line);
 
 /* "true" for a flag given or set to true/yes/1/on in a settings file. */

@@ -11,6 +11,26 @@ static const char *const worker_headings[] = {"WORKER", "HOST",  "STATE", "JOB",
                                               "SPEED",  "UNITS", "LOST",  "SEEN", "NOTE"};
 static const char worker_align[] = "llllrrrrrl";
 
+/* Why it does not render; else the tags that it has. */
+static void add_note(struct text_table *t, const struct json *w)
+{
+    const char *note = reply_text(w, "note", "");
+    const struct json *tags = json_get_member(w, "tags");
+    struct buf list;
+    buf_init(&list);
+    const struct json *v = !note[0] && tags && tags->type == JSON_ARRAY ? tags->first : NULL;
+    for (const char *before = "tags "; v; v = v->next) {
+        if (v->type != JSON_STRING)
+            continue;
+        buf_printf(&list, "%s%s", before, v->text);
+        before = ", ";
+    }
+    buf_put_u8(&list, '\0');
+    bool tagged = buf_status(&list) == ERR_OK && list.data[0] != '\0';
+    text_table_add(t, tagged ? (const char *)list.data : note);
+    buf_release(&list);
+}
+
 static void add_worker(struct text_table *t, const struct json *w)
 {
     char text[HUMAN_BYTES];
@@ -29,7 +49,7 @@ static void add_worker(struct text_table *t, const struct json *w)
     text_table_addf(t, "%.0f", reply_number(w, "lost", 0));
     human_age(reply_number(w, "seen_s", (double)NAN), text);
     text_table_add(t, text);
-    text_table_add(t, reply_text(w, "note", NULL));
+    add_note(t, w);
 }
 
 static int print_workers(const struct cli *cli, const struct json *items)

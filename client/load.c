@@ -77,6 +77,7 @@ static void apply_options(struct load *load, const struct cli_line *line)
         spec->tile = (uint32_t)cli_count(line, CLI_TILE);
     if (cli_has(line, CLI_VERIFY))
         spec->verify = cli_share(line, CLI_VERIFY);
+    spec->tags = cli_tags(line);
 }
 
 /* Problems that come from the options and not from the file. */

@@ -116,6 +116,16 @@ static bool stop_valid(const struct job_spec *s, struct diag_list *problems)
     return good;
 }
 
+static bool tags_valid(const struct tags *t)
+{
+    char list[TAG_LIST_BYTES];
+    struct tags same;
+    if (t->count > TAGS_MAX)
+        return false;
+    tags_list(t, list);
+    return tags_parse(list, &same, NULL);
+}
+
 bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
 {
     const double limit = FILTER_PARAMETER_MAX;
@@ -137,6 +147,7 @@ bool job_spec_valid(const struct job_spec *s, struct diag_list *problems)
     good &= check(within(s->filter_b, -limit, limit), problems, "$.filter_b", "a finite number");
     good &= check(within(s->filter_c, -limit, limit), problems, "$.filter_c", "a finite number");
     good &= check(s->aov >> AOV_COUNT == 0, problems, "$.aov", "known AOVs");
+    good &= check(tags_valid(&s->tags), problems, "$.tags", "at most 8 different words");
     good &= check(choices_valid(s), problems, "$",
                   "known integrator, profile, sampler, filter, "
                   "builder, intersector, precision, light choice and stop");
@@ -177,6 +188,10 @@ char *job_spec_to_json(const struct job_spec *s)
     aov_list(s->aov, aovs);
     if (s->aov != 0)
         buf_printf(&b, ",\"aov\":\"%s\"", aovs);
+    char tags[TAG_LIST_BYTES];
+    tags_list(&s->tags, tags);
+    if (s->tags.count > 0)
+        buf_printf(&b, ",\"tags\":\"%s\"", tags);
     if (s->stop != JOB_STOP_SPP)
         buf_printf(&b, ",\"stop\":\"%s\"", job_stop_names[s->stop]);
     if (s->target_error > 0)
@@ -250,14 +265,25 @@ static void read_aov(struct json_get *g, struct job_spec *s)
                      "\"%s\" is no AOV or comes twice, expected a list of %s", bad, all);
 }
 
+static void read_tags(struct json_get *g, struct job_spec *s)
+{
+    const char *list = NULL;
+    char bad[TAG_BYTES];
+    if (json_get_text(g, g->root, "tags", &list) && list && !tags_parse(list, &s->tags, bad))
+        json_get_problem(g, DIAG_ERROR, json_get_member(g->root, "tags"), "out-of-range", NULL,
+                         "\"%s\" is no tag, comes twice or is one too many, expected at most %d "
+                         "of " TAG_EXPECTED,
+                         bad, TAGS_MAX);
+}
+
 static void read_fields(struct json_get *g, struct job_spec *s)
 {
     static const char *const known[] = {
-        "width",        "height",       "crop",        "spp",          "seed",
-        "max_depth",    "tile",         "integrator",  "rr_threshold", "profile",
-        "sampler",      "filter",       "filter_b",    "filter_c",     "filter_radius",
-        "filter_alpha", "builder",      "intersector", "precision",    "verify",
-        "aov",          "light_choice", "stop",        "target_error", "time_limit",
+        "width",      "height",     "crop",          "spp",          "seed",    "max_depth",
+        "tile",       "integrator", "rr_threshold",  "profile",      "sampler", "filter",
+        "filter_b",   "filter_c",   "filter_radius", "filter_alpha", "builder", "intersector",
+        "precision",  "verify",     "aov",           "light_choice", "stop",    "target_error",
+        "time_limit", "tags",
     };
     const struct json *o = g->root;
     const double limit = FILTER_PARAMETER_MAX;
@@ -266,6 +292,7 @@ static void read_fields(struct json_get *g, struct job_spec *s)
     (void)json_get_u32(g, o, "height", 1, JOB_SIDE_MAX, &s->height);
     read_crop(g, s);
     read_aov(g, s);
+    read_tags(g, s);
     (void)json_get_u64(g, o, "spp", 1, JOB_SPP_MAX, &s->spp);
     (void)json_get_u64_text(g, o, "seed", &s->seed);
     (void)json_get_u32(g, o, "max_depth", 1, JOB_DEPTH_MAX, &s->max_depth);

@@ -11,6 +11,7 @@
 #include "common/aov.h"
 #include "common/diag.h"
 #include "common/err.h"
+#include "common/tags.h"
 
 /* X(enum suffix, name in options and JSON) */
 #define JOB_INTEGRATORS(X)                                                                         \
@@ -113,6 +114,7 @@ struct job_spec {
     enum job_precision precision;
     enum job_light_choice light_choice; /* one light is not chosen by a tree */
     uint32_t aov;                       /* set of aov.h */
+    struct tags tags;                   /* only workers that have them all; changes no bit */
 };
 
 /* The format's defaults: 600x600, path, 32 spp, depth 12, rr 0.1, box 0.5, tile 16, sobol. */

@@ -31,6 +31,7 @@
 #include "master/rate.h"
 #include "master/sched/sched.h"
 #include "master/store.h"
+#include "master/tag_table.h"
 #include "proto/transport.h"
 
 enum {
@@ -70,6 +71,7 @@ struct job {
 
     /* While the scheduler knows it. */
     bool in_sched, sched_done;
+    uint64_t tag_bits; /* of the farm's tag_table */
     void *sched_memory;
     struct sched_blame *blame; /* units that lost workers, for a scheduler that starts anew */
     size_t blame_count, blame_capacity;
@@ -111,8 +113,9 @@ struct worker {
     uint64_t instance; /* random per process */
     struct conn *conn; /* NULL: lost */
     char name[65], host[65], cpu[33], build[65];
-    char tags[8][33];
-    uint32_t tag_count, threads;
+    struct tags tags;
+    uint64_t tag_bits; /* of the farm's tag_table, as the scheduler knows them */
+    uint32_t threads;
     int64_t seen_ms; /* loop time of its last message */
     int64_t joined_us;
     bool draining, said_goodbye;
@@ -180,6 +183,7 @@ struct farm {
     bool sweeping;            /* chunks.c looks for what no job needs */
     int64_t swept_ms;
     uint32_t sched_jobs; /* known to the scheduler */
+    struct tag_table tag_table;
 
     bool stopping;
     struct farm_counters counters;
@@ -395,6 +399,9 @@ void workers_send(struct farm *f, uint64_t worker, const struct message *m);
 void workers_open_job(struct farm *f, uint64_t worker, uint64_t job);
 void workers_news(struct farm *f, const struct sched_action *a);
 void workers_tick(struct farm *f);
+
+/* After a bit of the tag table went to another word: the scheduler hears who has it. */
+void workers_retag(struct farm *f);
 enum sched_worker_state workers_state(const struct farm *f, const struct worker *w,
                                       struct sched_worker_info *info);
 TL_NODISCARD enum err workers_drain(struct farm *f, struct worker *w);

@@ -121,10 +121,10 @@ static void put_worker(struct buf *b, struct farm *f, const struct worker *w)
     buf_printf(b, ",\"build\":");
     json_put_text(b, w->build);
     buf_printf(b, ",\"tags\":[");
-    for (uint32_t i = 0; i < w->tag_count; i++) {
+    for (uint32_t i = 0; i < w->tags.count; i++) {
         if (i > 0)
             buf_put_u8(b, ',');
-        json_put_text(b, w->tags[i]);
+        json_put_text(b, w->tags.words[i]);
     }
     buf_printf(b, "]}");
 }

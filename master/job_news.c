@@ -48,7 +48,9 @@ static size_t jobs_before(const struct farm *f, const struct job *job)
 
 const char *jobs_note(const struct farm *f, const struct job *job)
 {
-    static char text[96]; /* the loop thread's alone */
+    static char text[32 + TAG_LIST_BYTES]; /* the loop thread's alone */
+    char tags[TAG_LIST_BYTES];
+    size_t before;
     struct sched_job_info info;
     if (job->rec.note[0] || job_state_ended(job->rec.state))
         return job->rec.note;
@@ -58,7 +60,11 @@ const char *jobs_note(const struct farm *f, const struct job *job)
         info.wait = SCHED_WAIT_BEHIND;
     switch (info.wait) {
     case SCHED_WAIT_WORKER:
-        return "no worker";
+        if (job->spec.tags.count == 0)
+            return "no worker";
+        tags_list(&job->spec.tags, tags);
+        (void)snprintf(text, sizeof text, "no worker has the tags %s", tags);
+        return text;
     case SCHED_WAIT_SECOND_WORKER:
         return "a check waits for a second worker";
     case SCHED_WAIT_THIRD_WORKER:
@@ -66,7 +72,8 @@ const char *jobs_note(const struct farm *f, const struct job *job)
     case SCHED_WAIT_BEHIND:
         if (job->rec.state != JOB_STATE_QUEUED)
             return "";
-        (void)snprintf(text, sizeof text, "behind %zu jobs", jobs_before(f, job));
+        before = jobs_before(f, job);
+        (void)snprintf(text, sizeof text, "behind %zu job%s", before, before == 1 ? "" : "s");
         return text;
     case SCHED_WAIT_NOTHING:
         break;

@@ -294,6 +294,7 @@ static enum err admit(struct farm *f, struct job *job)
                     .unit_cells_max = cells_per_result(&job->spec),
                     .verify_share = job->spec.verify,
                     .priority = job->rec.priority,
+                    .tags = job->tag_bits,
                     .paused = job->rec.state == JOB_STATE_PAUSED,
                     .quiet_ms = quiet_ms(f, job),
                     .memory = job->sched_memory,
@@ -317,6 +318,17 @@ static enum err admit(struct farm *f, struct job *job)
     return e;
 }
 
+/* False: the jobs of the scheduler ask for too many words; it waits until one of them ends. */
+static bool take_tags(struct farm *f, struct job *job)
+{
+    bool moved;
+    if (!tag_table_take(&f->tag_table, &job->spec.tags, &job->tag_bits, &moved))
+        return false;
+    if (moved)
+        workers_retag(f);
+    return true;
+}
+
 void jobs_admit(struct farm *f)
 {
     f->admit_due = false;
@@ -334,10 +346,13 @@ void jobs_admit(struct farm *f)
             job_film_changed(f, job);
             continue;
         }
+        if (!take_tags(f, job))
+            continue;
         enum err e = admit(f, job);
-        if (e != ERR_OK)
+        if (e != ERR_OK) {
+            tag_table_give(&f->tag_table, job->tag_bits);
             jobs_fail(f, job, err_text(e));
-        else if (job->plan && film_complete(job->film))
+        } else if (job->plan && film_complete(job->film))
             job_film_changed(f, job); /* the pilot or a stage was over when the master ended */
     }
 }
@@ -350,6 +365,7 @@ void jobs_leave_sched(struct farm *f, struct job *job)
     add_counts(f, job, &job->rec.stats);
     job->in_sched = false;
     f->sched_jobs--;
+    tag_table_give(&f->tag_table, job->tag_bits);
     struct sched_event cancel = {.type = SCHED_JOB_CANCEL, .job = job->rec.id};
     struct sched_event remove = {.type = SCHED_JOB_REMOVE, .job = job->rec.id};
     farm_feed(f, &cancel);

@@ -382,9 +382,9 @@ static void fill_worker(struct worker *w, const tilery_Hello *h)
     (void)snprintf(w->host, sizeof w->host, "%s", h->host);
     (void)snprintf(w->cpu, sizeof w->cpu, "%s", h->cpu);
     (void)snprintf(w->build, sizeof w->build, "%s", h->build_id);
-    w->tag_count = h->tags_count;
-    for (uint32_t i = 0; i < w->tag_count; i++)
-        (void)snprintf(w->tags[i], sizeof w->tags[i], "%s", h->tags[i]);
+    w->tags.count = h->tags_count;
+    for (uint32_t i = 0; i < w->tags.count; i++)
+        (void)snprintf(w->tags.words[i], TAG_BYTES, "%s", h->tags[i]);
     w->threads = h->threads;
     w->draining = false;
     w->said_goodbye = false;
@@ -393,7 +393,7 @@ static void fill_worker(struct worker *w, const tilery_Hello *h)
 }
 
 /* Tells the scheduler that it is here, and which leases of this farm it has brought along. */
-static void join(struct farm *f, const struct worker *w, const tilery_Hello *h)
+static void join(struct farm *f, struct worker *w, const tilery_Hello *h)
 {
     static const enum sched_held_state states[] = {
         [tilery_HELD_WAITING] = SCHED_HELD_WAITING,
@@ -409,10 +409,25 @@ static void join(struct farm *f, const struct worker *w, const tilery_Hello *h)
                                       .unit = {from->cell_begin, from->cell_count, from->block},
                                       .state = states[from->state]};
     }
-    struct sched_event event = {.type = SCHED_WORKER_JOIN,
-                                .worker = w->id,
-                                .join = {.threads = w->threads, .held = held, .held_count = count}};
+    w->tag_bits = tag_table_bits(&f->tag_table, &w->tags);
+    struct sched_event event = {
+        .type = SCHED_WORKER_JOIN,
+        .worker = w->id,
+        .join = {.threads = w->threads, .tags = w->tag_bits, .held = held, .held_count = count}};
     farm_feed(f, &event);
+}
+
+void workers_retag(struct farm *f)
+{
+    for (size_t i = 0; i < f->worker_count; i++) {
+        struct worker *w = f->workers[i];
+        uint64_t bits = tag_table_bits(&f->tag_table, &w->tags);
+        if (!w->conn || bits == w->tag_bits)
+            continue;
+        w->tag_bits = bits;
+        struct sched_event event = {.type = SCHED_WORKER_TAGS, .worker = w->id, .tags = bits};
+        farm_feed(f, &event);
+    }
 }
 
 static void detach(struct farm *f, struct worker *w, enum err why);

@@ -11,6 +11,7 @@
 
 #include "common/determinism.h"
 #include "common/log.h"
+#include "common/tags.h"
 #include "proto/transport.h"
 #include "common/scene_lazy.h"
 #include "worker/render/render.h"
@@ -166,8 +167,8 @@ static int take_tag(struct program *p, const char *text)
 {
     if (p->tag_count >= LIMIT_TAGS)
         return usage("--tag", "given more than 8 times");
-    if (text[0] == '\0' || strlen(text) > 32)
-        return usage("--tag", "a tag has 1 to 32 bytes");
+    if (!tag_valid(text))
+        return usage("--tag", "a tag is " TAG_EXPECTED);
     p->tags[p->tag_count++] = text;
     return GO_ON;
 }

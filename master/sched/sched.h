@@ -47,6 +47,7 @@
  *  10. A job that is done, failed or cancelled has no lease. It is done exactly when every spot is
  *      done, no check is open and no liar's cells wait to be reset.
  *  11. Progress never goes back.
+ *  12. A lease's worker has all tags that its job asks for.
  *
  * Over a restart of the master the caller keeps what matters: done spots, blame (SCHED_UNIT_LOST),
  * open checks (SCHED_CHECK_OPENED, _CLOSED) and who lied or was set aside; see sched_job_add and
@@ -138,6 +139,7 @@ enum sched_event_type {
     SCHED_WORKER_DRAIN, /* takes no more work */
     SCHED_WORKER_LEFT,  /* said goodbye: leases returned, no blame */
     SCHED_WORKER_RTT,   /* .rtt_us, measured */
+    SCHED_WORKER_TAGS,  /* .tags: other bits; it keeps those that jobs known here ask for */
 
     SCHED_JOB_READY,   /* worker has built the scene of .job */
     SCHED_JOB_UNFIT,   /* worker cannot render .job here (JobFailed) */
@@ -190,6 +192,7 @@ struct sched_job_add {
     uint32_t unit_cells_max; /* what one result frame can carry; 0: no cap */
     double verify_share;     /* of units rendered twice by different workers, 0..1 */
     int32_t priority;        /* higher first */
+    uint64_t tags; /* bits, as the caller numbers words: only workers that have all of them */
     bool paused;
     uint32_t quiet_ms; /* leases nothing for so long, but takes up what workers bring along */
     void *memory;      /* sched_job_bytes(), aligned to 64; lent until SCHED_JOB_REMOVE */
@@ -222,6 +225,7 @@ struct sched_held {
  * rest. At most leases_per_worker_max of it are looked at. */
 struct sched_join {
     uint32_t threads;              /* 1.. */
+    uint64_t tags;                 /* bits that it has */
     const struct sched_held *held; /* results first, then what is begun; lent for the call */
     size_t held_count;
 };
@@ -261,6 +265,7 @@ struct sched_event {
         struct sched_past past;
         struct sched_join join;
         uint64_t rtt_us;
+        uint64_t tags;
         uint64_t epoch;
         int32_t priority;
     };
@@ -367,7 +372,7 @@ enum sched_job_state {
 /* What an active job waits for, when it has no lease out. */
 enum sched_wait {
     SCHED_WAIT_NOTHING,
-    SCHED_WAIT_WORKER,        /* there is none (or all are set aside or unfit) */
+    SCHED_WAIT_WORKER,        /* there is none (or all are set aside, unfit or lack a tag) */
     SCHED_WAIT_BEHIND,        /* jobs of higher priority take all workers */
     SCHED_WAIT_SECOND_WORKER, /* a check needs a worker that did not render the unit */
     SCHED_WAIT_THIRD_WORKER,  /* two workers differ; a third must decide */

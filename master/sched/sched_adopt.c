@@ -80,7 +80,7 @@ static bool adoptable(struct sched *s, uint32_t worker, const struct sched_held 
     struct job *j = &s->jobs[*job];
     return job_is_live(j) && unit_within(j, h->unit) &&
            (j->unit_cells_max == 0 || h->unit.cell_count <= j->unit_cells_max) &&
-           !worker_barred(s, w, j->id) && worker_job_get(s, w, j->id) &&
+           !worker_barred(s, w, j) && worker_job_get(s, w, j->id) &&
            /* A result to be verified must find room for its check. */
            !(j->verify_share > 0.0 && s->lease_map.count >= s->check_pool.free.count);
 }

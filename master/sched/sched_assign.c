@@ -49,10 +49,10 @@ uint32_t unit_expected_ms(const struct sched *s, struct worker *w, const struct 
 }
 
 /* A quarter of a thread's share of what is not leased yet: the end must not drag. */
-static uint32_t cells_allowed(const struct sched *s, const struct job *j)
+static uint32_t cells_allowed(const struct job *j)
 {
     uint64_t left = job_spot_count(j) - j->spots.done - j->spots.leased;
-    uint64_t threads = s->threads > 0 ? s->threads : 1;
+    uint64_t threads = j->threads > 0 ? j->threads : 1;
     uint64_t cells = left / (4 * threads);
     if (cells > RUN_CELLS_MAX)
         cells = RUN_CELLS_MAX;
@@ -66,7 +66,7 @@ static uint32_t cells_allowed(const struct sched *s, const struct job *j)
 static bool unit_carve(const struct sched *s, struct worker *w, const struct worker_job *wj,
                        const struct job *j, struct unit *out)
 {
-    if (job_waiting_run(j, cells_allowed(s, j), out) == 0)
+    if (job_waiting_run(j, cells_allowed(j), out) == 0)
         return false;
     uint32_t target_ms = wj->target_ms < j->unit_ms ? wj->target_ms : j->unit_ms;
     double target_s = 1e-3 * target_ms * worker_speed_ratio(s, w, j);
@@ -154,7 +154,7 @@ static uint32_t job_for(struct sched *s, uint32_t worker)
         struct job *j = &s->jobs[job];
         if (best != SLOT_NONE && j->priority < s->jobs[best].priority)
             break;
-        if (!job_has_work(s, j) || worker_barred(s, w, j->id))
+        if (!job_has_work(s, j) || worker_barred(s, w, j))
             continue;
         if (reserve(s, j, worker))
             return SLOT_NONE;
@@ -338,7 +338,7 @@ static uint32_t lease_copy(struct sched *s, uint32_t worker)
     for (uint32_t i = 0; i < s->job_rank_count; i++) {
         uint32_t job = s->job_rank[i];
         struct job *j = &s->jobs[job];
-        if (j->state != SCHED_ACTIVE || s->now_ms < j->quiet_until_ms || worker_barred(s, w, j->id))
+        if (j->state != SCHED_ACTIVE || s->now_ms < j->quiet_until_ms || worker_barred(s, w, j))
             continue;
         uint32_t check = check_to_take(s, worker, j), of = copy_candidate(s, worker, j);
         if ((check == SLOT_NONE && of == SLOT_NONE) || !worker_job_get(s, w, j->id))

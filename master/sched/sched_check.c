@@ -67,7 +67,7 @@ static uint32_t owned(const struct job *j, struct unit u, uint32_t owner)
     return count;
 }
 
-/* 2, 3, 5, 6, 9, 10: one lease against its worker, job, unit and ring. */
+/* 2, 3, 5, 6, 9, 10, 12: one lease against its worker, job, unit and ring. */
 static void check_lease(const struct sched *s, uint32_t slot)
 {
     const struct lease *l = &s->leases[slot];
@@ -76,7 +76,7 @@ static void check_lease(const struct sched *s, uint32_t slot)
     TL_ASSERT(!l->revoked && s->lease_map.keys[slot] == l->epoch && l->epoch < s->epoch_next);
     TL_ASSERT(slotmap_used(&s->worker_map, l->worker) && slotmap_used(&s->job_map, l->job));
     TL_ASSERT(w->connected && !w->set_aside && !w->quarantined);
-    TL_ASSERT(job_is_live(j));
+    TL_ASSERT(job_is_live(j) && worker_has_tags(w, j));
     TL_ASSERT(l->begun == timers_running(&s->timers, slot));
     TL_ASSERT(l->owner ? l->open > 0 && owned(j, l->unit, slot) == l->open : l->open == 0);
     TL_ASSERT(l->solo == (l->owner && l->twin == slot));
@@ -180,6 +180,7 @@ void sched_check(const struct sched *s)
     for (uint32_t i = 0; i < s->job_rank_count; i++) {
         const struct job *j = &s->jobs[s->job_rank[i]];
         TL_ASSERT(i == 0 || s->jobs[s->job_rank[i - 1]].priority >= j->priority);
+        TL_ASSERT(j->threads == threads_with(s, j->tags));
         reserved_jobs += j->reserved;
         check_job(s, s->job_rank[i]);
     }

@@ -56,6 +56,8 @@ struct job {
     uint32_t close_slot;
     int32_t priority;
     uint32_t unit_cells_max;
+    uint64_t tags;     /* that its workers have */
+    uint32_t threads;  /* of workers that may take work and have them */
     uint32_t reserved; /* workers that are being emptied for a suspect of this job */
 
     /* The spots; tables in the caller's memory. */
@@ -121,7 +123,7 @@ struct worker {
     bool alone;            /* renders a suspect alone */
     uint64_t reserved_job; /* gets nothing until it is empty, then a suspect of this job; 0: no */
     uint32_t threads;
-    uint64_t rtt_us;
+    uint64_t tags, rtt_us;
     struct chain begun, queued; /* its leases, oldest first */
     uint32_t held;
     enum worker_list list;
@@ -267,6 +269,8 @@ bool workers_feed(struct sched *s, const struct sched_event *e);
 /* A slot for a new worker: a free one, or that of the worker gone for longest; SLOT_NONE. */
 uint32_t worker_add(struct sched *s, uint64_t handle);
 bool worker_usable(const struct worker *w);
+/* Of workers that may take work and have all of the tags. */
+uint32_t threads_with(const struct sched *s, uint64_t tags);
 uint32_t worker_allowance(const struct sched *s, const struct worker *w);
 /* Puts the worker into the list where it belongs, at its end. */
 void worker_place(struct sched *s, uint32_t worker);
@@ -276,7 +280,8 @@ struct worker_job *worker_job_find(struct worker *w, uint64_t job);
 /* The worker's entry of a job, made if needed; NULL when all entries hold leases. */
 struct worker_job *worker_job_get(struct sched *s, struct worker *w, uint64_t job);
 void worker_job_open(struct sched *s, uint32_t worker, struct worker_job *wj);
-bool worker_barred(const struct sched *s, struct worker *w, uint64_t job);
+/* The worker may not render the job: it lacks a tag, or could not render it just now. */
+bool worker_barred(const struct sched *s, struct worker *w, const struct job *j);
 void worker_begin_leases(struct sched *s, uint32_t worker);
 void worker_fault(struct sched *s, uint32_t worker);
 void worker_good(struct sched *s, uint32_t worker);
@@ -366,6 +371,11 @@ static inline uint32_t job_slot(const struct sched *s, const struct job *j)
 static inline uint32_t worker_slot(const struct sched *s, const struct worker *w)
 {
     return (uint32_t)(w - s->workers);
+}
+
+static inline bool worker_has_tags(const struct worker *w, const struct job *j)
+{
+    return (j->tags & ~w->tags) == 0;
 }
 
 static inline bool job_is_live(const struct job *j)

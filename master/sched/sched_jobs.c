@@ -62,6 +62,8 @@ static bool job_add(struct sched *s, uint64_t id, const struct sched_job_add *a)
                                      : s->limits.unit_ms,
                       .unit_cells_max = a->unit_cells_max,
                       .verify_share = a->verify_share,
+                      .tags = a->tags,
+                      .threads = threads_with(s, a->tags),
                       .quiet_until_ms = s->now_ms + a->quiet_ms,
                       .started_ms = UINT64_MAX};
     struct chain *const chains[] = {&j->solo,           &j->others, &j->suspects,

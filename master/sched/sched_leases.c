@@ -193,9 +193,9 @@ static uint32_t suspect_of(struct sched *s, uint32_t lease)
 }
 
 /* Is there anyone else to ask? */
-static bool others_usable(const struct sched *s, const struct worker *w)
+static bool others_usable(const struct job *j, const struct worker *w)
 {
-    return s->threads > (w->counted ? w->threads : 0);
+    return j->threads > (w->counted && worker_has_tags(w, j) ? w->threads : 0);
 }
 
 /* Counts a loss against the unit of `owner`; true: it is one too many for the job. That one worker
@@ -210,7 +210,8 @@ static bool suspect_blame(struct sched *s, uint32_t owner, const struct lease *l
     const struct worker *w = &s->workers[lost->worker];
     p->lost_ms = s->now_ms;
     for (int i = 0; i < SUSPECT_LOSERS; i++) {
-        if (p->losers[i] == w->handle && others_usable(s, w) && ++p->repeats % SUSPECT_REPEATS != 0)
+        if (p->losers[i] == w->handle && others_usable(&s->jobs[lost->job], w) &&
+            ++p->repeats % SUSPECT_REPEATS != 0)
             return false;
     }
     p->losers[p->losses++ % SUSPECT_LOSERS] = w->handle;

@@ -75,7 +75,7 @@ static enum sched_wait wait_reason(const struct sched *s, const struct job *j)
     bool any = false;
     for (uint32_t i = 0; i < s->limits.worker_count_max && !any; i++) {
         struct worker *w = &s->workers[i];
-        any = slotmap_used(&s->worker_map, i) && worker_usable(w) && !worker_barred(s, w, j->id);
+        any = slotmap_used(&s->worker_map, i) && worker_usable(w) && !worker_barred(s, w, j);
     }
     if (!any)
         return SCHED_WAIT_WORKER;

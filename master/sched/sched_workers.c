@@ -101,6 +101,32 @@ void worker_unreserve(struct sched *s, uint32_t worker)
     w->reserved_job = 0;
 }
 
+uint32_t threads_with(const struct sched *s, uint64_t tags)
+{
+    uint32_t threads = 0;
+    if (tags == 0)
+        return s->threads;
+    for (uint32_t i = 0; i < s->limits.worker_count_max; i++) {
+        const struct worker *w = &s->workers[i];
+        if (slotmap_used(&s->worker_map, i) && w->counted && (tags & ~w->tags) == 0)
+            threads += w->threads;
+    }
+    return threads;
+}
+
+/* The worker's threads may take work from now on, or not any more. */
+static void count_threads(struct sched *s, struct worker *w, bool counted)
+{
+    TL_ASSERT(w->counted != counted);
+    w->counted = counted;
+    s->threads = counted ? s->threads + w->threads : s->threads - w->threads;
+    for (uint32_t i = 0; i < s->job_rank_count; i++) {
+        struct job *j = &s->jobs[s->job_rank[i]];
+        if (worker_has_tags(w, j))
+            j->threads = counted ? j->threads + w->threads : j->threads - w->threads;
+    }
+}
+
 void worker_place(struct sched *s, uint32_t worker)
 {
     struct worker *w = &s->workers[worker];
@@ -113,10 +139,8 @@ void worker_place(struct sched *s, uint32_t worker)
         if (wanted != LIST_NONE)
             chain_push(list_of(s, wanted), s->worker_links, worker);
     }
-    if (worker_usable(w) != w->counted) {
-        w->counted = !w->counted;
-        s->threads = w->counted ? s->threads + w->threads : s->threads - w->threads;
-    }
+    if (worker_usable(w) != w->counted)
+        count_threads(s, w, !w->counted);
     if (w->draining && w->connected && w->held == 0 && !w->drained_told) {
         w->drained_told = true;
         sched_news_push(s, &(struct sched_action){.type = SCHED_DRAINED, .worker = w->handle});
@@ -176,10 +200,10 @@ void worker_job_open(struct sched *s, uint32_t worker, struct worker_job *wj)
     worker_timer_set(s, worker);
 }
 
-bool worker_barred(const struct sched *s, struct worker *w, uint64_t job)
+bool worker_barred(const struct sched *s, struct worker *w, const struct job *j)
 {
-    const struct worker_job *wj = worker_job_find(w, job);
-    return wj && wj->barred_until_ms > s->now_ms;
+    const struct worker_job *wj = worker_job_find(w, j->id);
+    return !worker_has_tags(w, j) || (wj && wj->barred_until_ms > s->now_ms);
 }
 
 /* The oldest `threads` leases of jobs it is ready for are taken to be begun. */
@@ -383,10 +407,22 @@ static bool worker_join(struct sched *s, uint64_t handle, const struct sched_joi
     w->threads = join->threads < SCHED_THREADS_MAX ? join->threads : SCHED_THREADS_MAX;
     if (w->set_aside && w->until_ms <= s->now_ms)
         w->until_ms = s->now_ms;
+    w->tags = join->tags;
     worker_timer_set(s, worker);
     worker_place(s, worker);
     worker_adopt(s, worker, join->held, join->held_count);
     worker_place(s, worker);
+    return true;
+}
+
+static bool worker_retag(struct sched *s, struct worker *w, uint64_t tags)
+{
+    bool counted = w->counted;
+    if (counted)
+        count_threads(s, w, false);
+    w->tags = tags;
+    if (counted)
+        count_threads(s, w, true);
     return true;
 }
 
@@ -459,6 +495,8 @@ bool workers_feed(struct sched *s, const struct sched_event *e)
         s->workers[worker].rtt_us = e->rtt_us;
         worker_place(s, worker);
         return true;
+    case SCHED_WORKER_TAGS:
+        return worker_retag(s, &s->workers[worker], e->tags);
     case SCHED_JOB_READY:
         return worker_ready(s, worker, e->job);
     case SCHED_JOB_UNFIT:

@@ -197,7 +197,8 @@ function workerRow(w) {
   row.append(text("td", w.id), text("td", w.name), text("td", w.state, "state " + w.state.replace(" ", "-")),
     text("td", w.job || "-"),
     text("td", w.threads, "number"), text("td", rays(w.speed_rays_s), "number"),
-    text("td", w.units, "number"), text("td", w.lost, "number"), text("td", w.note), last);
+    text("td", w.units, "number"), text("td", w.lost, "number"),
+    text("td", w.note || (w.tags.length ? "tags " + w.tags.join(", ") : "")), last);
   return row;
 }
 

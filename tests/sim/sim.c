@@ -167,6 +167,8 @@ struct sim_config sim_config_of(uint64_t seed)
     if (c.cost_us > cost_max_us)
         c.cost_us = cost_max_us;
     c.cell_cost = c.cost_us * (double)(UINT64_C(1) << sim_below(&r, 8)) / 16.0 + 1.0;
+    /* Half of the workers must be enough to decide who lied. */
+    c.tags = sim_chance(&r, 0.3) && c.liars == 0 && c.workers >= 6;
     return c;
 }
 
@@ -254,7 +256,7 @@ static void heal(struct sim *sim)
         worker_heal(sim, i);
     /* Deadlines, pauses and patience with loading, and four times the work; what the fast ones
      * rendered may have to be verified by the slow ones. */
-    uint64_t work = sim->c.verify > 0.0 ? 40 : 4;
+    uint64_t work = (sim->c.verify > 0.0 ? UINT64_C(40) : 4) * (sim->c.tags ? 2 : 1);
     sim->deadline_us = sim->now_us + 240000000 + work * sim->stats.ideal_us;
     operate(sim);
 }

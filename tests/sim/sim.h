@@ -46,6 +46,7 @@ struct sim_config {
     uint32_t workers, liars, zombies;
     uint32_t jobs, cells[SIM_JOBS_MAX], blocks[SIM_JOBS_MAX];
     double verify;
+    bool tags; /* every second worker has a tag, and every second job asks for it */
     double cost_us, cost_spread; /* of a spot, and how much cells differ */
     double cell_cost;            /* what the job says: pixel-samples of a spot */
     uint32_t latency_us;

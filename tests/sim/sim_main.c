@@ -89,10 +89,11 @@ static void print_config(const struct sim_config *c)
                  c->workers, c->liars, c->zombies, c->jobs);
     for (uint32_t i = 0; i < c->jobs; i++)
         (void)printf(" %ux%u", c->cells[i], c->blocks[i]);
-    (void)printf("; verify %.2f, spot %.0f us, latency %u us, faults for %.1f s every %.2f s%s%s\n",
-                 c->verify, c->cost_us, c->latency_us, 1e-6 * (double)c->fault_us,
-                 1e-6 * (double)c->fault_every_us, c->master_crashes ? ", master dies" : "",
-                 c->poison_cell >= 0 ? ", poison" : "");
+    (void)printf(
+        "; verify %.2f, spot %.0f us, latency %u us, faults for %.1f s every %.2f s%s%s%s\n",
+        c->verify, c->cost_us, c->latency_us, 1e-6 * (double)c->fault_us,
+        1e-6 * (double)c->fault_every_us, c->master_crashes ? ", master dies" : "",
+        c->poison_cell >= 0 ? ", poison" : "", c->tags ? ", tags" : "");
 }
 
 static int run_one(uint64_t seed, bool trace)

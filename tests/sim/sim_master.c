@@ -363,6 +363,7 @@ static void on_hello(struct sim *sim, uint32_t conn, const tilery_Hello *hello)
     master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_JOIN,
                                            .worker = handle,
                                            .join = {.threads = hello->threads,
+                                                    .tags = sim->handle_worker[handle] % 2,
                                                     .held = held,
                                                     .held_count = hello->held_count}});
     master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_RTT,
@@ -537,6 +538,7 @@ static void add_job(struct sim *sim, uint32_t job)
                                                    .verify_share = sim->c.verify,
                                                    .quiet_ms = sim->m.life > 1 ? 600 : 0,
                                                    .priority = (int32_t)(job % 2),
+                                                   .tags = sim->c.tags && job % 2 == 0,
                                                    .memory = j->memory,
                                                    .done = runs,
                                                    .done_count = count,

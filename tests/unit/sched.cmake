@@ -11,3 +11,5 @@ tilery_test(test_sched_limits LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched_limits.c ${unit}/sched_rig.c)
 tilery_test(test_sched_adopt LABEL unit LINKS tl_sched
   SOURCES ${unit}/test_sched_adopt.c ${unit}/sched_rig.c)
+tilery_test(test_sched_tags LABEL unit LINKS tl_sched
+  SOURCES ${unit}/test_sched_tags.c ${unit}/sched_rig.c)

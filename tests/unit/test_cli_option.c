@@ -123,6 +123,9 @@ static void test_refusals(void **state)
     refused("render a.json --aov norml", "bad-value", "known: depth,position");
     refused("render a.json --aov depth,,uv", "bad-value", "--aov");
     refused("render a.json --aov depth,depth", "bad-value", "twice");
+    refused("submit a.json --tags big,", "bad-value", "at most 8 different tags");
+    refused("submit a.json --tags big,big", "bad-value", "twice");
+    refused("render a.json --tags big", "unknown-option", "--tags");
     refused("render a.json --target-error 0", "bad-value", "over 0");
     refused("render a.json --target-error 0.1 --spp 4", "bad-value", "do not go together");
     refused("render a.json --target-error 0.1 --time-limit 5", "bad-value", "--time-limit");

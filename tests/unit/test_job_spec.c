@@ -53,7 +53,8 @@ static void every_field_round_trips(void **state)
                          .intersector = JOB_INTERSECTOR_MOLLER_TRUMBORE,
                          .precision = JOB_PRECISION_FAST,
                          .light_choice = JOB_LIGHT_CHOICE_UNIFORM,
-                         .aov = (UINT32_C(1) << AOV_COUNT) - 1};
+                         .aov = (UINT32_C(1) << AOV_COUNT) - 1,
+                         .tags = {.words = {"big", "site-b"}, .count = 2}};
     struct job_spec back;
     struct diag_list problems;
     char *text = job_spec_to_json(&s);
@@ -63,6 +64,8 @@ static void every_field_round_trips(void **state)
     assert_string_equal(text, again);
     assert_true(back.seed == s.seed && back.spp == s.spp && back.filter_alpha == s.filter_alpha);
     assert_int_equal(back.aov, s.aov);
+    assert_int_equal(back.tags.count, 2);
+    assert_string_equal(back.tags.words[1], "site-b");
     mem_free(text);
     mem_free(again);
     diag_release(&problems);
@@ -97,6 +100,9 @@ static void hostile_specs_are_refused(void **state)
         {"{\"filter_radius\": 0}", "out-of-range", "$.filter_radius"},
         {"{\"aov\": \"depth,dpth\"}", "out-of-range", "$.aov"},
         {"{\"aov\": 3}", "wrong-type", "$.aov"},
+        {"{\"tags\": \"big,big\"}", "out-of-range", "$.tags"},
+        {"{\"tags\": \"big, small\"}", "out-of-range", "$.tags"},
+        {"{\"tags\": [\"big\"]}", "wrong-type", "$.tags"},
         {"{\"tile\": 5000, \"width\": 5000, \"height\": 5000}", "out-of-range", "$.tile"},
         {"{\"integrator\": \"bdpt\"}", "unknown-name", "$.integrator"},
         {"{\"with\": 3}", "unknown-key", "$.with"},

@@ -21,9 +21,10 @@ static struct rig_lease lease_of(uint64_t worker, const struct sched_held *h)
 
 static bool join(uint64_t worker, uint32_t threads, const struct sched_held *held, size_t count)
 {
-    return rig_feed(&rig, &(struct sched_event){.type = SCHED_WORKER_JOIN,
-                                                .worker = worker,
-                                                .join = {threads, held, count}});
+    return rig_feed(&rig, &(struct sched_event){
+                              .type = SCHED_WORKER_JOIN,
+                              .worker = worker,
+                              .join = {.threads = threads, .held = held, .held_count = count}});
 }
 
 static bool revoked(uint64_t epoch)
