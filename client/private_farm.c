@@ -20,6 +20,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "client/cli_help.h"
 #include "client/signals.h"
 #include "common/json_get.h"
 #include "common/mem.h"
@@ -30,7 +31,7 @@
  * private farm is worth the wait. */
 enum { INSIST_MS = 60 };
 
-enum { LINE_BYTES = 512, PATH_BYTES = PATH_MAX, WORKER_ARGUMENTS = 8, MASTER_ARGUMENTS = 12 };
+enum { LINE_BYTES = 512, PATH_BYTES = PATH_MAX, WORKER_ARGUMENTS = 12, MASTER_ARGUMENTS = 12 };
 enum { LISTEN_FD = 3 }; /* what the master knows the socket for workers by */
 
 /* A text cut to its buffer: what is too long for a path is refused by the system later. */
@@ -237,20 +238,39 @@ static enum err master_start(struct private_farm *f)
     return child_start(f, &f->master, (char *const *)arguments);
 }
 
-/* Chunks stay in memory: what ends with us needs no disk. */
+/* Chunks stay in memory: what ends with us needs no disk. A tree that is large is built by one
+ * worker, on everybody's cores, while the others wait for it. */
 static enum err worker_start(struct private_farm *f, struct private_child *child)
 {
-    char threads[16];
+    char threads[16], build_threads[16];
     format(threads, sizeof threads, "%u", f->threads);
+    format(build_threads, sizeof build_threads, "%u", f->build_threads);
     const char *arguments[WORKER_ARGUMENTS] = {
-        "tilery-worker", "--master", f->listen, "--threads", threads, "--name", child->name, NULL};
+        "tilery-worker", "--master", f->listen, "--threads", threads, "--name", child->name,
+    };
+    const char *const shared[] = {"--build-threads", build_threads, "--trees", f->folder};
+    if (f->worker_count > 1)
+        memcpy(arguments + 7, shared, sizeof shared);
     return child_start(f, child, (char *const *)arguments);
+}
+
+/* What all workers together may use, and this process can. */
+static uint32_t build_threads(uint32_t worker_count, uint32_t threads)
+{
+    uint64_t all = (uint64_t)worker_count * threads;
+    uint32_t cores = cli_default_threads(1);
+    if (all <= cores)
+        return (uint32_t)all;
+    return cores > threads ? cores : threads;
 }
 
 enum err private_farm_start(struct private_farm *f, uint32_t worker_count, uint32_t threads)
 {
-    *f = (struct private_farm){
-        .worker_count = worker_count, .threads = threads, .listen_fd = -1, .lock_fd = -1};
+    *f = (struct private_farm){.worker_count = worker_count,
+                               .threads = threads,
+                               .build_threads = build_threads(worker_count, threads),
+                               .listen_fd = -1,
+                               .lock_fd = -1};
     f->workers = mem_calloc(worker_count, sizeof *f->workers);
     format(f->master.name, sizeof f->master.name, "master");
     for (uint32_t i = 0; f->workers && i < worker_count; i++)

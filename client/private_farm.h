@@ -33,9 +33,10 @@ struct private_farm {
     struct private_child master;
     struct private_child *workers; /* owned */
     uint32_t worker_count, threads;
-    int listen_fd;     /* where workers connect; the master's, whichever runs */
-    int lock_fd;       /* held while we live: tells sweepers that the folder is in use */
-    char failure[400]; /* what went wrong, in words */
+    uint32_t build_threads; /* of the worker that builds what all wait for */
+    int listen_fd;          /* where workers connect; the master's, whichever runs */
+    int lock_fd;            /* held while we live: tells sweepers that the folder is in use */
+    char failure[400];      /* what went wrong, in words */
 };
 
 /* Makes the folder and the socket for workers, and starts master and workers at once: who connects

@@ -116,8 +116,7 @@ static enum err write_special(const char *path, const void *data, size_t bytes)
     return e;
 }
 
-/* A new file beside `path`; its name is left in *aside, which the caller frees. */
-static enum err open_aside(const char *path, char **aside, int *fd)
+enum err file_open_aside(const char *path, char **aside, int *fd)
 {
     static atomic_uint counter;
     for (;;) {
@@ -157,7 +156,7 @@ enum err file_write(const char *path, const void *data, size_t bytes)
         return S_ISDIR(st.st_mode) ? ERR_IO : write_special(path, data, bytes);
     char *aside;
     int fd;
-    TL_TRY(open_aside(path, &aside, &fd));
+    TL_TRY(file_open_aside(path, &aside, &fd));
     enum err e = write_and_rename(fd, aside, path, data, bytes);
     mem_free(aside);
     if (e == ERR_OK)

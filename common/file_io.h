@@ -26,6 +26,10 @@ uint64_t file_length(const char *path);
  * ERR_NOSPACE, ERR_NOT_FOUND (no such folder), ERR_IO. */
 TL_NODISCARD enum err file_write(const char *path, const void *data, size_t bytes);
 
+/* A new file beside `path`, open for writing as *fd; its name, by which it is renamed or unlinked,
+ * in *aside (mem_free). ERR_NOSPACE, ERR_NOT_FOUND, ERR_IO, ERR_NOMEM. */
+TL_NODISCARD enum err file_open_aside(const char *path, char **aside, int *fd);
+
 /* The folder part of a path ("" for none is "."), and a path relative to a folder (absolute ones
  * stay). You own the result; NULL when out of memory. */
 TL_NODISCARD char *file_folder(const char *path);

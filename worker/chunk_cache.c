@@ -259,6 +259,15 @@ void chunk_cache_free(struct chunk_cache *c)
     mem_free(c);
 }
 
+enum err chunk_cache_keep_trees(struct chunk_cache *c, const char *folder, uint64_t bytes_max)
+{
+    struct tree_cache *trees;
+    TL_TRY(tree_cache_new(folder, bytes_max, &trees));
+    tree_cache_free(c->trees);
+    c->trees = trees;
+    return ERR_OK;
+}
+
 struct tree_cache *chunk_cache_trees(struct chunk_cache *c)
 {
     return c->trees;

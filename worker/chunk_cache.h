@@ -45,7 +45,12 @@ TL_NODISCARD enum err chunk_cache_put(struct chunk_cache *c, const digest *name,
 TL_NODISCARD enum err chunk_cache_get(struct chunk_cache *c, const digest *name,
                                       uint64_t raw_bytes_max, struct buf *out);
 
-/* The trees kept beside the chunks, bounded by as much again; NULL in memory. */
+/* Trees are kept in FOLDER/trees (tree_cache.h) instead of beside the chunks. Before anybody asks
+ * for one. ERR_NOMEM. */
+TL_NODISCARD enum err chunk_cache_keep_trees(struct chunk_cache *c, const char *folder,
+                                             uint64_t bytes_max);
+
+/* The trees kept beside the chunks, bounded by as much again, or elsewhere; NULL: none are kept. */
 struct tree_cache *chunk_cache_trees(struct chunk_cache *c);
 
 /* Of all chunks, as stored. */

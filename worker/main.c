@@ -28,9 +28,13 @@ static const char help[] =
     "  --tls-cert F        PEM: this worker's certificate, for a master with --tls-client-ca\n"
     "  --tls-key F         PEM: its key\n"
     "  --threads N         render threads (the cores this process may use)\n"
+    "  --build-threads N   threads that read and build a scene (as many; more where other\n"
+    "                      workers of this host wait for what this one builds)\n"
     "  --name S            how the worker is shown (the host's name)\n"
     "  --tag T             a word that jobs may ask for; up to 8 times\n"
     "  --cache DIR         keep scenes' chunks and trees in DIR (else chunks in memory)\n"
+    "  --trees DIR         keep trees in DIR all the same; of the workers that share DIR one\n"
+    "                      builds a tree, and the others wait for it (the cache's folder)\n"
     "  --cache-size MIB    of chunks, and of trees, at most (20480 in DIR, 1024 in memory)\n"
     "  --eager             build all trees at once (else large objects' when rays meet them)\n"
     "  --memory MIB        for built scenes; the oldest unused go first (half of the machine's)\n"
@@ -57,9 +61,9 @@ struct program {
     bool closing;
 
     /* Options. */
-    const char *master, *name, *cache_folder;
+    const char *master, *name, *cache_folder, *tree_folder;
     const char *tags[LIMIT_TAGS];
-    uint32_t tag_count, threads;
+    uint32_t tag_count, threads, build_threads;
     uint64_t cache_mib, memory_mib;
     bool print_id, wants_tls, eager;
     struct tls_files tls_files;
@@ -108,9 +112,11 @@ enum {
     OPTION_TLS_CERT,
     OPTION_TLS_KEY,
     OPTION_THREADS,
+    OPTION_BUILD_THREADS,
     OPTION_NAME,
     OPTION_TAG,
     OPTION_CACHE,
+    OPTION_TREES,
     OPTION_CACHE_SIZE,
     OPTION_EAGER,
     OPTION_MEMORY,
@@ -127,9 +133,11 @@ static const struct option long_options[] = {
     {"tls-cert", required_argument, NULL, OPTION_TLS_CERT},
     {"tls-key", required_argument, NULL, OPTION_TLS_KEY},
     {"threads", required_argument, NULL, OPTION_THREADS},
+    {"build-threads", required_argument, NULL, OPTION_BUILD_THREADS},
     {"name", required_argument, NULL, OPTION_NAME},
     {"tag", required_argument, NULL, OPTION_TAG},
     {"cache", required_argument, NULL, OPTION_CACHE},
+    {"trees", required_argument, NULL, OPTION_TREES},
     {"cache-size", required_argument, NULL, OPTION_CACHE_SIZE},
     {"eager", no_argument, NULL, OPTION_EAGER},
     {"memory", required_argument, NULL, OPTION_MEMORY},
@@ -154,12 +162,12 @@ static int take_number(const char *option, const char *text, uint64_t min, uint6
     return usage(option, line);
 }
 
-static int take_threads(struct program *p, const char *text)
+static int take_threads(const char *option, const char *text, uint32_t *out)
 {
     uint64_t threads = 0;
-    int status = take_number("--threads", text, 1, LIMIT_THREADS, &threads);
+    int status = take_number(option, text, 1, LIMIT_THREADS, &threads);
     if (status == GO_ON)
-        p->threads = (uint32_t)threads;
+        *out = (uint32_t)threads;
     return status;
 }
 
@@ -201,7 +209,9 @@ static int take_option(struct program *p, int option, const char *value)
     case OPTION_TLS_KEY:
         return take_tls(p, option, value);
     case OPTION_THREADS:
-        return take_threads(p, value);
+        return take_threads("--threads", value, &p->threads);
+    case OPTION_BUILD_THREADS:
+        return take_threads("--build-threads", value, &p->build_threads);
     case OPTION_NAME:
         p->name = value;
         return value[0] && strlen(value) <= 64 ? GO_ON : usage("--name", "has 1 to 64 bytes");
@@ -210,6 +220,9 @@ static int take_option(struct program *p, int option, const char *value)
     case OPTION_CACHE:
         p->cache_folder = value;
         return value[0] ? GO_ON : usage("--cache", "expected a folder");
+    case OPTION_TREES:
+        p->tree_folder = value;
+        return value[0] ? GO_ON : usage("--trees", "expected a folder");
     case OPTION_CACHE_SIZE:
         return take_number("--cache-size", value, 1, UINT64_C(1) << 32, &p->cache_mib);
     case OPTION_MEMORY:
@@ -263,6 +276,8 @@ static int parse_options(struct program *p, int argc, char **argv)
         p->name = p->host;
     if (p->threads == 0)
         p->threads = cores();
+    if (p->build_threads < p->threads)
+        p->build_threads = p->threads;
     if (p->cache_mib == 0)
         p->cache_mib = p->cache_folder ? CACHE_DISK_MIB : CACHE_MEMORY_MIB;
     if (p->memory_mib == 0)
@@ -395,7 +410,11 @@ int main(int argc, char **argv)
     e = chunk_cache_new(p.cache_folder, p.cache_mib * MIB, &p.cache);
     if (e != ERR_OK)
         return fail(p.cache_folder ? p.cache_folder : "chunk cache", e);
-    e = pool_new(&p.loop, p.threads, &p.pool);
+    if (p.tree_folder)
+        e = chunk_cache_keep_trees(p.cache, p.tree_folder, p.cache_mib * MIB);
+    if (e != ERR_OK)
+        return fail(p.tree_folder, e);
+    e = pool_new(&p.loop, p.threads, p.build_threads, &p.pool);
     if (e != ERR_OK)
         return fail("cannot start the render threads", e);
 

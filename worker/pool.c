@@ -37,8 +37,9 @@ struct pool {
     uv_async_t wake;
     void (*closed)(void *ctx);
     void *closed_ctx;
-    uint32_t thread_count; /* of render threads; one more serves */
-    uint32_t started;
+    uint32_t thread_count; /* of render threads; one more serves, the others help */
+    uint32_t spread_count;
+    uint32_t all_count, started;
     struct thread threads[];
 };
 
@@ -99,10 +100,10 @@ static void *thread_main(void *arg)
     lock(p);
     while (!p->stopping) {
         struct pool_task *task = TAILQ_FIRST(&p->queues[t->kind]);
-        /* Whoever can help makes the scene ready sooner, which all wait for. The last thread stays
-         * out: the service thread is at it too, and there is one core for each thread. */
+        /* Whoever can help makes the scene ready sooner, which all wait for. The service thread is
+         * at it too. */
         bool helps =
-            t->kind == POOL_RENDER && p->spread && p->spread->helpers + 1 < p->thread_count;
+            t->kind != POOL_SERVICE && p->spread && p->spread->helpers + 1 < p->spread_count;
         if (helps)
             help(p, p->spread);
         else if (task)
@@ -122,6 +123,7 @@ void pool_run(void *pool, size_t count, void (*fn)(void *arg, size_t index), voi
         lock(p);
         p->spread = &s;
         (void)pthread_cond_broadcast(&p->work[POOL_RENDER]);
+        (void)pthread_cond_broadcast(&p->work[POOL_HELP]);
         unlock(p);
     }
     work_off(&s);
@@ -155,7 +157,7 @@ static void on_wake(uv_async_t *wake)
 
 void pool_submit(struct pool *p, struct pool_task *task)
 {
-    TL_ASSERT(task->state == POOL_IDLE && task->kind < POOL_KIND_COUNT);
+    TL_ASSERT(task->state == POOL_IDLE && task->kind < POOL_HELP);
     lock(p);
     task->state = POOL_QUEUED;
     TAILQ_INSERT_TAIL(&p->queues[task->kind], task, in_queue);
@@ -178,6 +180,11 @@ bool pool_cancel(struct pool *p, struct pool_task *task)
 uint32_t pool_thread_count(const struct pool *p)
 {
     return p->thread_count;
+}
+
+uint32_t pool_spread_count(const struct pool *p)
+{
+    return p->spread_count;
 }
 
 uint32_t pool_busy(const struct pool *p)
@@ -235,26 +242,35 @@ static bool start_threads(struct pool *p)
     (void)pthread_attr_setstacksize(&attributes, STACK_BYTES);
     (void)sigfillset(&all);
     (void)pthread_sigmask(SIG_SETMASK, &all, &before);
-    for (uint32_t i = 0; i <= p->thread_count; i++) {
+    for (uint32_t i = 0; i < p->all_count; i++) {
         struct thread *t = &p->threads[i];
-        *t = (struct thread){
-            .pool = p, .number = i, .kind = i < p->thread_count ? POOL_RENDER : POOL_SERVICE};
+        *t = (struct thread){.pool = p,
+                             .number = i,
+                             .kind = i < p->thread_count    ? POOL_RENDER
+                                     : i == p->thread_count ? POOL_SERVICE
+                                                            : POOL_HELP};
         if (pthread_create(&t->handle, &attributes, thread_main, t) != 0)
             break;
         p->started++;
     }
     (void)pthread_sigmask(SIG_SETMASK, &before, NULL);
     (void)pthread_attr_destroy(&attributes);
-    return p->started == p->thread_count + 1;
+    return p->started == p->all_count;
 }
 
-enum err pool_new(struct uv_loop_s *loop, uint32_t thread_count, struct pool **out)
+enum err pool_new(struct uv_loop_s *loop, uint32_t thread_count, uint32_t spread_count,
+                  struct pool **out)
 {
-    TL_ASSERT(thread_count > 0);
-    struct pool *p = mem_calloc(1, sizeof *p + ((size_t)thread_count + 1) * sizeof(struct thread));
+    TL_ASSERT(thread_count > 0 && spread_count >= thread_count);
+    /* The render threads and the one that serves can be at a loop already. */
+    uint32_t serving = thread_count + 1;
+    uint32_t all_count = spread_count > serving ? spread_count : serving;
+    struct pool *p = mem_calloc(1, sizeof *p + all_count * sizeof(struct thread));
     if (!p)
         return ERR_NOMEM;
     p->thread_count = thread_count;
+    p->spread_count = spread_count;
+    p->all_count = all_count;
     TAILQ_INIT(&p->finished);
     TL_ASSERT(pthread_mutex_init(&p->lock, NULL) == 0);
     TL_ASSERT(pthread_cond_init(&p->helped, NULL) == 0);

@@ -3,7 +3,8 @@
  * N render threads take render tasks, one service thread takes service tasks (read,
  * check and write chunks, build a scene), each in order of arrival. A task's `run` is
  * called on its thread; its `done` is called on the loop thread afterwards. A service
- * task may spread a loop over the render threads that are free (pool_run).
+ * task may spread a loop over the render threads that are free (pool_run), and over helper
+ * threads, which do nothing else.
  *
  * A task is embedded in what it is about and must stay valid from pool_submit until
  * `done` or until pool_cancel returned true. The queues are intrusive: submitting
@@ -23,7 +24,7 @@
 struct uv_loop_s;
 struct pool; /* opaque */
 
-enum pool_kind { POOL_RENDER, POOL_SERVICE, POOL_KIND_COUNT };
+enum pool_kind { POOL_RENDER, POOL_SERVICE, POOL_HELP /* takes no tasks */, POOL_KIND_COUNT };
 
 enum pool_task_state { POOL_IDLE, POOL_QUEUED, POOL_RUNNING, POOL_DONE };
 
@@ -36,8 +37,10 @@ struct pool_task {
     TAILQ_ENTRY(pool_task) in_queue;
 };
 
-/* ERR_NOMEM: also when a thread cannot be made. */
-TL_NODISCARD enum err pool_new(struct uv_loop_s *loop, uint32_t thread_count, struct pool **out);
+/* `spread_count` (at least thread_count): threads that a spread loop may take, the caller's among
+ * them. ERR_NOMEM: also when a thread cannot be made. */
+TL_NODISCARD enum err pool_new(struct uv_loop_s *loop, uint32_t thread_count, uint32_t spread_count,
+                               struct pool **out);
 
 /* Cancels what is queued without `done`, waits for what runs (set its stop flag before), and frees
  * the pool once the loop has turned; then `closed` (may be NULL) is called. */
@@ -48,7 +51,8 @@ void pool_submit(struct pool *p, struct pool_task *task);
 /* True if the task had not begun: it will not, and `done` is not called. */
 TL_NODISCARD bool pool_cancel(struct pool *p, struct pool_task *task);
 
-uint32_t pool_thread_count(const struct pool *p);
+uint32_t pool_thread_count(const struct pool *p); /* of render threads */
+uint32_t pool_spread_count(const struct pool *p);
 
 /* Render threads that are inside a task now. */
 uint32_t pool_busy(const struct pool *p);
@@ -56,8 +60,8 @@ uint32_t pool_busy(const struct pool *p);
 /* The service thread is inside a task: pool_close would wait for it, perhaps for a whole build. */
 bool pool_serving(const struct pool *p);
 
-/* Calls fn(arg, i) for all i < count, on the calling thread and on render threads that are free,
- * and returns when all are done: an accel_runner whose ctx is the pool. */
+/* Calls fn(arg, i) for all i < count, on the calling thread and on others that are free, and
+ * returns when all are done: an accel_runner whose ctx is the pool. */
 void pool_run(void *pool, size_t count, void (*fn)(void *arg, size_t index), void *arg);
 
 #endif

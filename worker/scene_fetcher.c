@@ -13,6 +13,9 @@ enum {
     ASKED_MAX = 8, /* requests in flight: the next chunk is on its way while one is stored */
     TRIES_MAX = 3, /* of one chunk that comes damaged, and of a scene whose chunks get lost */
     TEXT_BYTES = 200,
+    PATIENCE_MS = 500, /* for the tree that another worker builds, and more for many triangles */
+    PATIENCE_TRIANGLES_A_MS = 250,
+    PATIENCE_MS_MAX = 600000,
 };
 
 /* Plain bytes in flight at most (or one chunk): what storing them takes in memory. */
@@ -54,16 +57,17 @@ struct load {
     struct package_part *parts; /* of the index: chunks decoded as they came */
     struct render_scene *scene;
     struct tree_write *new_tree; /* to be written behind the build; or NULL */
+    struct tree_claim *claim;    /* others wait for the tree that is built here; or NULL */
     TAILQ_ENTRY(load) in_loads;
 };
 
-/* A tree on its way to the cache: nobody waits for it. */
+/* A tree on its way to the cache: nobody here waits for it. */
 struct tree_write {
     struct pool_task task;
     struct scene_fetcher *loader;
     digest key;
-    struct buf file;
-    size_t bytes; /* of the tree in it */
+    struct render_scene *scene; /* shared until the tree is written; the loop's */
+    struct tree_claim *claim;
     TAILQ_ENTRY(tree_write) in_trees;
 };
 
@@ -122,7 +126,8 @@ static void free_tree(struct tree_write *w)
 {
     if (!w)
         return;
-    buf_release(&w->file);
+    (void)render_scene_free(w->scene);
+    tree_cache_release(w->claim);
     mem_free(w);
 }
 
@@ -144,6 +149,7 @@ static void free_store(struct store *s)
 static void free_load(struct load *load)
 {
     free_tree(load->new_tree);
+    tree_cache_release(load->claim);
     buf_release(&load->root);
     buf_release(&load->chunk);
     free_parts(load);
@@ -266,15 +272,26 @@ static struct accel_runner runner_of(const struct load *load)
 {
     struct pool *pool = load->loader->pool;
     return (struct accel_runner){
-        .run = pool_run, .ctx = pool, .thread_count = pool_thread_count(pool)};
+        .run = pool_run, .ctx = pool, .thread_count = pool_spread_count(pool)};
 }
 
-static bool find_tree(void *ctx, const digest *key, void **data, size_t *bytes)
+/* How long another worker is waited for: what building takes on one slow or busy core. One that is
+ * stopped is not waited for without end. */
+static uint32_t patience_ms(uint64_t triangles)
+{
+    uint64_t ms = PATIENCE_MS + triangles / PATIENCE_TRIANGLES_A_MS;
+    return ms < PATIENCE_MS_MAX ? (uint32_t)ms : PATIENCE_MS_MAX;
+}
+
+static bool find_tree(void *ctx, const digest *key, uint64_t triangles, void **data, size_t *bytes)
 {
     struct load *load = ctx;
     struct tree_cache *trees = chunk_cache_trees(load->loader->cache);
     struct accel_runner runner = runner_of(load);
-    return tree_cache_get(trees, key, &runner, data, bytes) == ERR_OK;
+    if (tree_cache_get(trees, key, &runner, data, bytes) == ERR_OK)
+        return true;
+    return tree_cache_claim(trees, key, patience_ms(triangles), &load->claim) &&
+           tree_cache_get(trees, key, &runner, data, bytes) == ERR_OK;
 }
 
 static void drop_tree(void *ctx, const digest *key)
@@ -284,31 +301,28 @@ static void drop_tree(void *ctx, const digest *key)
     tree_cache_drop(chunk_cache_trees(load->loader->cache), key);
 }
 
-/* A copy: the scene may be gone before a slow disk has it. No memory for one: not kept. */
+/* Written behind the build, by write_tree. No memory: not kept. */
 static void keep_tree(void *ctx, const digest *key, const struct accel *accel)
 {
+    (void)accel;
     struct load *load = ctx;
-    struct tree_write *w = mem_calloc(1, sizeof *w);
-    if (!w)
-        return;
-    w->loader = load->loader;
-    w->key = *key;
-    buf_init(&w->file);
-    w->bytes = accel_trees_bytes(accel);
-    unsigned char *at = tree_cache_room(&w->file, w->bytes);
-    if (at) {
-        accel_trees_save(accel, at);
-        load->new_tree = w;
-    } else {
-        free_tree(w);
-    }
+    load->new_tree = mem_calloc(1, sizeof *load->new_tree);
+    if (load->new_tree)
+        *load->new_tree = (struct tree_write){.loader = load->loader, .key = *key};
+}
+
+static void give_tree(void *ctx, size_t from, size_t bytes, unsigned char *out)
+{
+    accel_trees_copy(ctx, from, bytes, out);
 }
 
 static void run_tree_write(struct pool_task *task, uint32_t thread)
 {
     (void)thread;
     struct tree_write *w = (struct tree_write *)task;
-    enum err e = tree_cache_put(chunk_cache_trees(w->loader->cache), &w->key, &w->file, w->bytes);
+    struct accel *accel = render_scene_accel(w->scene);
+    enum err e = tree_cache_put(chunk_cache_trees(w->loader->cache), &w->key,
+                                accel_trees_bytes(accel), give_tree, accel);
     if (e != ERR_OK)
         log_warn("cache", "tree not kept: the folder cannot take it error=%s", err_name(e));
 }
@@ -419,12 +433,15 @@ static void done_tree_write(struct pool_task *task)
     free_tree(w);
 }
 
+/* From the scene itself, which lives until a slow disk has the tree. */
 static void write_tree(struct load *load)
 {
     struct tree_write *w = load->new_tree;
-    if (!w)
+    if (!w || !load->scene || render_scene_share(load->scene, &load->spec, &w->scene) != ERR_OK)
         return;
     load->new_tree = NULL;
+    w->claim = load->claim;
+    load->claim = NULL;
     w->task =
         (struct pool_task){.run = run_tree_write, .done = done_tree_write, .kind = POOL_SERVICE};
     TAILQ_INSERT_TAIL(&w->loader->trees, w, in_trees);

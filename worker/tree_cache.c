@@ -7,7 +7,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "common/checksum.h"
@@ -20,18 +23,23 @@ struct tree_cache {
     uint64_t bytes_max;
 };
 
-static const char suffix[] = ".tree";
+static const char suffix[] = ".tree", lock_suffix[] = ".lock";
 
-static char *path_of(const struct tree_cache *c, const digest *key)
+enum {
+    WAIT_STEP_MS = 2,
+    ROOM_SHARE_MAX = 4, /* of the free room, one in so many bytes may be a tree's */
+};
+
+static char *path_of(const struct tree_cache *c, const digest *key, const char *end)
 {
     char hex[DIGEST_HEX_BYTES];
     digest_to_hex(key, hex);
-    return mem_sprintf("%s/%s%s", c->folder, hex, suffix);
+    return mem_sprintf("%s/%s%s", c->folder, hex, end);
 }
 
 void tree_cache_drop(struct tree_cache *c, const digest *key)
 {
-    char *path = path_of(c, key);
+    char *path = path_of(c, key, suffix);
     if (path)
         (void)unlink(path);
     mem_free(path);
@@ -148,20 +156,6 @@ static size_t block_bytes(size_t body_bytes, size_t block)
     return left < BLOCK_BYTES ? left : BLOCK_BYTES;
 }
 
-/* Writes the head and the table in front of a body that is there. */
-static void seal(unsigned char *file, size_t body_bytes)
-{
-    struct head head = {.body_bytes = body_bytes};
-    size_t blocks = block_count(body_bytes), at = body_at(body_bytes);
-    for (size_t i = 0; i < blocks; i++) {
-        uint64_t sum = checksum64(file + at + i * BLOCK_BYTES, block_bytes(body_bytes, i));
-        memcpy(file + sizeof head + i * sizeof sum, &sum, sizeof sum);
-    }
-    memcpy(head.magic, magic, sizeof magic);
-    head.table_sum = checksum64(file + sizeof head, blocks * sizeof(uint64_t));
-    memcpy(file, &head, sizeof head);
-}
-
 /* --- Reading -------------------------------------------------------------- */
 
 /* A file being read, a block a task. */
@@ -253,7 +247,7 @@ static enum err read_file(struct tree_cache *c, const char *path, const struct a
 enum err tree_cache_get(struct tree_cache *c, const digest *key, const struct accel_runner *runner,
                         void **data, size_t *bytes)
 {
-    char *path = path_of(c, key);
+    char *path = path_of(c, key, suffix);
     struct reading r = {.fd = -1};
     if (!path)
         return ERR_NOMEM;
@@ -280,24 +274,166 @@ enum err tree_cache_get(struct tree_cache *c, const digest *key, const struct ac
     return e;
 }
 
-unsigned char *tree_cache_room(struct buf *file, size_t bytes)
+/* --- Writing -------------------------------------------------------------- */
+
+static enum err write_at(int fd, const void *data, size_t bytes, size_t at)
 {
-    unsigned char *at = buf_extend(file, body_at(bytes) + bytes);
-    return at ? at + body_at(bytes) : NULL;
+    const unsigned char *from = data;
+    while (bytes > 0) {
+        ssize_t wrote = pwrite(fd, from, bytes, (off_t)at);
+        if (wrote < 0 && errno == EINTR)
+            continue;
+        if (wrote < 0)
+            return err_from_errno(errno);
+        from += wrote;
+        at += (size_t)wrote;
+        bytes -= (size_t)wrote;
+    }
+    return ERR_OK;
 }
 
-enum err tree_cache_put(struct tree_cache *c, const digest *key, struct buf *file, size_t bytes)
+/* The body through `room`, a block at a time, then the table and the head in front of it. */
+static enum err write_file(int fd, size_t bytes, tree_source *source, void *ctx,
+                           unsigned char *room, uint64_t *sums)
 {
-    TL_TRY(buf_status(file));
-    TL_ASSERT(bytes > 0 && file->bytes == body_at(bytes) + bytes);
-    if (file->bytes > c->bytes_max)
+    struct head head = {.body_bytes = bytes};
+    size_t blocks = block_count(bytes), at = body_at(bytes);
+    for (size_t i = 0; i < blocks; i++) {
+        size_t some = block_bytes(bytes, i);
+        source(ctx, i * BLOCK_BYTES, some, room);
+        sums[i] = checksum64(room, some);
+        TL_TRY(write_at(fd, room, some, at + i * BLOCK_BYTES));
+    }
+    memcpy(head.magic, magic, sizeof magic);
+    head.table_sum = checksum64(sums, blocks * sizeof *sums);
+    TL_TRY(write_at(fd, sums, blocks * sizeof *sums, sizeof head));
+    return write_at(fd, &head, sizeof head, 0);
+}
+
+/* A file of that size leaves most of the free room to others: the folder may be that of all
+ * temporary files. */
+static bool has_room(const struct tree_cache *c, uint64_t bytes)
+{
+    struct statvfs disk;
+    return statvfs(c->folder, &disk) == 0 &&
+           bytes <= (uint64_t)disk.f_bavail * disk.f_frsize / ROOM_SHARE_MAX;
+}
+
+/* Written aside and renamed; not synced: what a crash of the machine makes of it, the checksums
+ * find. */
+static enum err write_aside(const char *path, size_t bytes, tree_source *source, void *ctx)
+{
+    char *aside;
+    int fd;
+    unsigned char *room = mem_alloc(BLOCK_BYTES);
+    uint64_t *sums = mem_alloc_array(block_count(bytes), sizeof *sums);
+    enum err e = room && sums ? file_open_aside(path, &aside, &fd) : ERR_NOMEM;
+    if (e == ERR_OK) {
+        e = write_file(fd, bytes, source, ctx, room, sums);
+        if (close(fd) != 0 && e == ERR_OK)
+            e = err_from_errno(errno);
+        if (e == ERR_OK && rename(aside, path) != 0)
+            e = err_from_errno(errno);
+        if (e != ERR_OK)
+            (void)unlink(aside);
+        mem_free(aside);
+    }
+    mem_free(room);
+    mem_free(sums);
+    return e;
+}
+
+static enum err make_folder(const struct tree_cache *c)
+{
+    return mkdir(c->folder, 0777) == 0 || errno == EEXIST ? ERR_OK : err_from_errno(errno);
+}
+
+enum err tree_cache_put(struct tree_cache *c, const digest *key, size_t bytes, tree_source *source,
+                        void *ctx)
+{
+    TL_ASSERT(bytes > 0);
+    uint64_t file_bytes = body_at(bytes) + bytes;
+    if (file_bytes > c->bytes_max)
         return ERR_OK;
-    seal(file->data, bytes);
-    if (mkdir(c->folder, 0777) != 0 && errno != EEXIST)
-        return err_from_errno(errno);
-    char *path = path_of(c, key);
-    enum err e = path ? file_write(path, file->data, file->bytes) : ERR_NOMEM;
+    TL_TRY(make_folder(c));
+    if (!has_room(c, file_bytes))
+        return ERR_NOSPACE;
+    char *path = path_of(c, key, suffix);
+    enum err e = path ? write_aside(path, bytes, source, ctx) : ERR_NOMEM;
     mem_free(path);
     trim(c);
     return e;
+}
+
+/* --- Who builds ------------------------------------------------------------ */
+
+struct tree_claim {
+    char *path; /* of the lock's file */
+    int fd;     /* locked while the claim lives: a kill ends both */
+};
+
+void tree_cache_release(struct tree_claim *claim)
+{
+    if (!claim)
+        return;
+    /* Who waits on the file finds the tree there, or builds one. */
+    (void)unlink(claim->path);
+    (void)close(claim->fd);
+    mem_free(claim->path);
+    mem_free(claim);
+}
+
+static bool is_there(const char *path)
+{
+    return access(path, R_OK) == 0;
+}
+
+/* Waits until the lock is ours (then *locked), or the tree is there; false: neither, in time. */
+static bool await(int fd, const char *tree, uint32_t patience_ms, bool *locked)
+{
+    static const struct timespec step = {.tv_nsec = WAIT_STEP_MS * 1000000L};
+    for (uint32_t waited = 0;; waited += WAIT_STEP_MS) {
+        *locked = flock(fd, LOCK_EX | LOCK_NB) == 0;
+        bool held = !*locked && (errno == EWOULDBLOCK || errno == EINTR);
+        if (*locked || is_there(tree))
+            return true;
+        if (!held || waited >= patience_ms)
+            return false;
+        (void)nanosleep(&step, NULL);
+    }
+}
+
+static bool claim(const char *tree, struct tree_claim *mine, uint32_t patience_ms, bool *locked)
+{
+    mine->fd = open(mine->path, O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    return mine->fd >= 0 && await(mine->fd, tree, patience_ms, locked) && is_there(tree);
+}
+
+bool tree_cache_claim(struct tree_cache *c, const digest *key, uint32_t patience_ms,
+                      struct tree_claim **out)
+{
+    struct tree_claim *mine = mem_calloc(1, sizeof *mine);
+    char *tree = path_of(c, key, suffix);
+    bool locked = false, there = false;
+    *out = NULL;
+    if (mine && tree && make_folder(c) == ERR_OK) {
+        mine->path = path_of(c, key, lock_suffix);
+        mine->fd = -1;
+        there = mine->path && claim(tree, mine, patience_ms, &locked);
+    }
+    mem_free(tree);
+    if (locked && !there) {
+        *out = mine;
+        return false;
+    }
+    if (locked) {
+        tree_cache_release(mine);
+        return true;
+    }
+    if (mine && mine->path && mine->fd >= 0)
+        (void)close(mine->fd);
+    if (mine)
+        mem_free(mine->path);
+    mem_free(mine);
+    return there;
 }

@@ -8,12 +8,15 @@
 #include <cmocka.h>
 
 #include <fcntl.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
+#include "common/buf.h"
 #include "common/mem.h"
 #include "worker/render/accel.h"
 #include "worker/tree_cache.h"
@@ -81,7 +84,7 @@ static void save(const struct world *w, struct buf *out)
     assert_false(accel_is_restored(a));
     unsigned char *at = buf_extend(out, accel_trees_bytes(a));
     assert_non_null(at);
-    accel_trees_save(a, at);
+    accel_trees_copy(a, 0, out->bytes, at);
     accel_free(a);
 }
 
@@ -119,7 +122,10 @@ static void check_saved(bool compact)
     assert_int_equal(accel_trees_bytes(a), saved.bytes);
     unsigned char *at = buf_extend(&again, saved.bytes);
     assert_non_null(at);
-    accel_trees_save(a, at);
+    for (size_t from = 0, some = 1; from < saved.bytes; from += some, some = 1 + some * 7 % 4001) {
+        some = some < saved.bytes - from ? some : saved.bytes - from;
+        accel_trees_copy(a, from, some, at + from); /* pieces cut anywhere */
+    }
     assert_memory_equal(again.data, saved.data, saved.bytes);
     accel_free(a);
     buf_release(&again);
@@ -235,15 +241,16 @@ static void keys_follow_the_geometry(void **ctx)
 
 /* --- The folder ------------------------------------------------------------- */
 
+static void give(void *ctx, size_t from, size_t bytes, unsigned char *out)
+{
+    (void)from;
+    memset(out, *(unsigned char *)ctx, bytes);
+}
+
 static enum err put(struct tree_cache *c, unsigned char name, size_t bytes)
 {
-    struct buf file;
     digest key = {{name}};
-    buf_init(&file);
-    memset(tree_cache_room(&file, bytes), name, bytes);
-    enum err e = tree_cache_put(c, &key, &file, bytes);
-    buf_release(&file);
-    return e;
+    return tree_cache_put(c, &key, bytes, give, &name);
 }
 
 /* True if the tree is there, as it was put. */
@@ -328,6 +335,64 @@ static void the_folder_is_bounded_and_checked(void **ctx)
     mem_free(inside);
 }
 
+/* One claims a tree, others wait for it: until it is there, until its builder is killed, or until
+ * they have waited enough. */
+static void one_builds_and_others_wait(void **ctx)
+{
+    (void)ctx;
+    char folder[] = "/tmp/test_trees.XXXXXX";
+    struct tree_cache *c, *other;
+    struct tree_claim *claim, *second;
+    digest key = {{1}};
+    assert_non_null(mkdtemp(folder));
+    assert_int_equal(tree_cache_new(folder, 10000, &c), ERR_OK);
+    assert_int_equal(tree_cache_new(folder, 10000, &other), ERR_OK);
+    assert_false(tree_cache_claim(c, &key, 0, &claim));
+    assert_non_null(claim);
+    assert_false(tree_cache_claim(other, &key, 10, &second));
+    assert_null(second); /* it has waited enough: it builds, and holds up nobody */
+    assert_int_equal(put(c, 1, 3000), ERR_OK);
+    assert_true(tree_cache_claim(other, &key, 0, &second)); /* there, though still claimed */
+    assert_null(second);
+    assert_true(has(other, 1, 3000));
+    tree_cache_release(claim);
+    assert_true(tree_cache_claim(other, &key, 0, &second));
+    assert_null(second);
+
+    /* A builder that is killed leaves neither tree nor claim. */
+    tree_cache_drop(c, &key);
+    int said[2];
+    assert_int_equal(pipe(said), 0);
+    pid_t child = fork();
+    assert_true(child >= 0);
+    if (child == 0) {
+        bool mine = !tree_cache_claim(other, &key, 0, &claim) && claim;
+        ssize_t ignored = write(said[1], mine ? "y" : "n", 1);
+        (void)ignored;
+        for (;;)
+            (void)pause();
+    }
+    char answer = 0;
+    assert_int_equal(read(said[0], &answer, 1), 1);
+    assert_int_equal(answer, 'y');
+    assert_false(tree_cache_claim(c, &key, 0, &second));
+    assert_null(second);
+    assert_int_equal(kill(child, SIGKILL), 0);
+    assert_false(tree_cache_claim(c, &key, 60000, &second));
+    assert_non_null(second); /* at once, not when patience ends */
+    tree_cache_release(second);
+    assert_int_equal(waitpid(child, NULL, 0), child);
+    (void)close(said[0]);
+    (void)close(said[1]);
+
+    tree_cache_free(c);
+    tree_cache_free(other);
+    char *inside = mem_sprintf("%s/trees", folder);
+    assert_int_equal(rmdir(inside), 0); /* no lock is left */
+    assert_int_equal(rmdir(folder), 0);
+    mem_free(inside);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -336,6 +401,7 @@ int main(void)
         cmocka_unit_test(large_trees_are_walked_in_parts),
         cmocka_unit_test(keys_follow_the_geometry),
         cmocka_unit_test(the_folder_is_bounded_and_checked),
+        cmocka_unit_test(one_builds_and_others_wait),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -10,7 +10,7 @@
 
 #include "worker/pool.h"
 
-enum { TASKS = 200, THREADS = 3 };
+enum { TASKS = 200, THREADS = 3, SPREAD = 6 };
 
 struct job {
     struct pool_task task;
@@ -44,7 +44,7 @@ static int open_pool(void **state)
     (void)state;
     done_count = 0;
     atomic_store(&gate, false);
-    return uv_loop_init(&loop) < 0 || pool_new(&loop, THREADS, &pool) != ERR_OK;
+    return uv_loop_init(&loop) < 0 || pool_new(&loop, THREADS, SPREAD, &pool) != ERR_OK;
 }
 
 static int close_pool(void **state)
@@ -144,6 +144,53 @@ static void a_loop_is_spread_while_others_render(void **state)
     assert_int_equal(atomic_load(&s.counts[0]), 21);
 }
 
+/* As many threads at once as `at_once`: else this never returns. */
+struct meeting {
+    struct pool_task task;
+    atomic_int here;
+    int at_once;
+};
+
+static void meet(void *arg, size_t index)
+{
+    (void)index;
+    struct meeting *m = arg;
+    atomic_fetch_add(&m->here, 1);
+    while (atomic_load(&m->here) < m->at_once)
+        (void)usleep(100);
+}
+
+static void run_meeting(struct pool_task *task, uint32_t thread)
+{
+    (void)thread;
+    struct meeting *m = (struct meeting *)task;
+    pool_run(pool, (size_t)m->at_once, meet, m);
+}
+
+static void helpers_take_part(void **state)
+{
+    (void)state;
+    struct meeting m = {.task = {.run = run_meeting, .done = done_spread, .kind = POOL_SERVICE},
+                        .at_once = SPREAD};
+    pool_submit(pool, &m.task);
+    turn_until(1);
+
+    /* The render threads are busy: the helpers and the caller are left. */
+    struct job jobs[THREADS] = {0};
+    struct meeting fewer = m;
+    fewer.at_once = SPREAD - THREADS;
+    atomic_store(&fewer.here, 0);
+    atomic_store(&gate, true);
+    for (int i = 0; i < THREADS; i++)
+        submit(&jobs[i], POOL_RENDER);
+    while (pool_busy(pool) < THREADS)
+        (void)usleep(100);
+    pool_submit(pool, &fewer.task);
+    turn_until(2);
+    atomic_store(&gate, false);
+    turn_until(2 + THREADS);
+}
+
 static void closing_with_tasks_queued(void **state)
 {
     (void)state;
@@ -161,6 +208,7 @@ int main(void)
         WITH_POOL(every_task_runs_once),
         WITH_POOL(what_waits_can_be_cancelled),
         WITH_POOL(a_loop_is_spread_while_others_render),
+        WITH_POOL(helpers_take_part),
         WITH_POOL(closing_with_tasks_queued),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

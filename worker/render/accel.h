@@ -86,7 +86,7 @@ TL_NODISCARD enum err accel_new(const struct accel_input *input,
                                 const struct accel_options *options,
                                 const struct accel_runner *runner, struct accel **out);
 
-/* The same, with trees from what accel_trees_save wrote over the same input, if it holds: whatever
+/* The same, with trees from what accel_trees_copy gave over the same input, if it holds: whatever
  * the bytes are, no ray leaves them. Takes `saved` (from mem_alloc_aligned, at 64 or more; may be
  * NULL) whatever happens: the trees lie in it. */
 TL_NODISCARD enum err accel_new_saved(const struct accel_input *input,
@@ -94,9 +94,10 @@ TL_NODISCARD enum err accel_new_saved(const struct accel_input *input,
                                       const struct accel_runner *runner, void *saved,
                                       size_t saved_bytes, struct accel **out);
 
-/* Writes the trees as that many bytes. */
+/* The trees as that many bytes, and any run of these: written to a file piece by piece, they are in
+ * memory once. */
 size_t accel_trees_bytes(const struct accel *a);
-void accel_trees_save(const struct accel *a, unsigned char *out);
+void accel_trees_copy(const struct accel *a, size_t from, size_t bytes, unsigned char *out);
 
 /* True if the trees were saved ones. */
 bool accel_is_restored(const struct accel *a);

@@ -150,14 +150,27 @@ enum err accel_trees_key(const struct accel_input *input, const struct accel_opt
 
 /* --- Saving -------------------------------------------------------------- */
 
-static unsigned char *put(unsigned char *out, const void *data, size_t bytes)
+/* The part of the saved bytes that is asked for. */
+struct window {
+    size_t from, to;
+    unsigned char *out; /* where `from` goes */
+    size_t at;          /* of what is put next */
+};
+
+/* Copies what of the next `bytes` lies in the window; `data` NULL: zeros. */
+static void put(struct window *w, const void *data, size_t bytes)
 {
-    if (bytes)
-        memcpy(out, data, bytes);
-    return out + bytes;
+    size_t begin = w->at > w->from ? w->at : w->from;
+    size_t end = w->at + bytes < w->to ? w->at + bytes : w->to;
+    if (begin < end && data)
+        memcpy(w->out + (begin - w->from), (const unsigned char *)data + (begin - w->at),
+               end - begin);
+    else if (begin < end)
+        memset(w->out + (begin - w->from), 0, end - begin);
+    w->at += bytes;
 }
 
-static unsigned char *save_tree(const struct bvh *b, unsigned char *out)
+static void put_tree(struct window *w, const struct bvh *b)
 {
     struct saved_tree s = {.bytes = b->bytes,
                            .node_count = b->node_count,
@@ -170,7 +183,7 @@ static unsigned char *save_tree(const struct bvh *b, unsigned char *out)
                            .measured = b->measured};
     memcpy(s.lo, b->lo, sizeof s.lo);
     memcpy(s.hi, b->hi, sizeof s.hi);
-    return put(out, &s, sizeof s);
+    put(w, &s, sizeof s);
 }
 
 /* Of all heads, up to the first arena. */
@@ -188,18 +201,23 @@ size_t accel_trees_bytes(const struct accel *a)
     return bytes;
 }
 
-void accel_trees_save(const struct accel *a, unsigned char *out)
+void accel_trees_copy(const struct accel *a, size_t from, size_t bytes, unsigned char *out)
 {
     struct saved_head head = head_of(a);
-    unsigned char *arenas = out + heads_bytes(a);
-    out = put(out, &head, sizeof head);
-    out = save_tree(&a->scene_tree, out);
-    for (size_t i = 0; i < a->mesh_count; i++)
-        out = save_tree(&a->mesh_trees[i], out);
-    memset(out, 0, (size_t)(arenas - out));
-    out = put(arenas, a->scene_tree.arena, a->scene_tree.bytes);
-    for (size_t i = 0; i < a->mesh_count; i++)
-        out = put(out, a->mesh_trees[i].arena, a->mesh_trees[i].bytes);
+    struct window w = {.from = from, .to = from + bytes, .out = out};
+    size_t arenas_at = heads_bytes(a);
+    put(&w, &head, sizeof head);
+    if (from < arenas_at) {
+        put_tree(&w, &a->scene_tree);
+        for (size_t i = 0; i < a->mesh_count && w.at < w.to; i++)
+            put_tree(&w, &a->mesh_trees[i]);
+    }
+    if (w.at < w.to && w.at < arenas_at)
+        put(&w, NULL, arenas_at - w.at);
+    w.at = arenas_at;
+    put(&w, a->scene_tree.arena, a->scene_tree.bytes);
+    for (size_t i = 0; i < a->mesh_count && w.at < w.to; i++)
+        put(&w, a->mesh_trees[i].arena, a->mesh_trees[i].bytes);
 }
 
 /* --- Checking ------------------------------------------------------------ */

@@ -27,7 +27,7 @@ static enum err find_or_build(struct render_scene *rs, const struct accel_input 
     bool kept = trees && triangles >= KEPT_TRIANGLES_MIN && options->builder != JOB_BUILDER_NONE;
     if (kept) {
         TL_TRY(accel_trees_key(input, options, runner, &key));
-        (void)trees->find(trees->ctx, &key, &saved, &bytes);
+        (void)trees->find(trees->ctx, &key, triangles, &saved, &bytes);
     }
     bool found = saved != NULL;
     TL_TRY(accel_new_saved(input, options, runner, saved, bytes, &rs->accel));
@@ -197,6 +197,11 @@ size_t render_scene_bytes(const struct render_scene *rs)
     struct accel_stats stats;
     accel_stats_get(rs->accel, &stats);
     return sizeof *rs + rs->arena.total_bytes + (size_t)stats.bytes;
+}
+
+struct accel *render_scene_accel(const struct render_scene *rs)
+{
+    return rs->accel;
 }
 
 void render_scene_stats(const struct render_scene *rs, struct accel_stats *out)

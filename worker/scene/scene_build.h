@@ -23,8 +23,9 @@ TL_NODISCARD enum err scene_build(const struct scene *scene, const struct job_sp
 
 /* Where built trees are kept. Any member function may be slow. */
 struct scene_trees {
-    /* The saved trees of a key, which accel_new_saved then takes; false: none. */
-    bool (*find)(void *ctx, const digest *key, void **data, size_t *bytes);
+    /* The saved trees of a key, which accel_new_saved then takes; false: none. May wait while
+     * another builds them; of how many triangles they are says how long that may take. */
+    bool (*find)(void *ctx, const digest *key, uint64_t triangles, void **data, size_t *bytes);
     void (*drop)(void *ctx, const digest *key); /* they do not hold */
     /* Offers those just built. */
     void (*keep)(void *ctx, const digest *key, const struct accel *accel);
@@ -63,7 +64,8 @@ uint32_t render_scene_sharers(const struct render_scene *rs);
 /* Memory held now, trees included: more while trees are built by the first rays to meet them. */
 size_t render_scene_bytes(const struct render_scene *rs);
 
-/* Of the tree. */
+/* Of the tree; NULL before it is built. */
+struct accel *render_scene_accel(const struct render_scene *rs);
 void render_scene_stats(const struct render_scene *rs, struct accel_stats *out);
 
 #endif
