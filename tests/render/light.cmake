@@ -17,6 +17,8 @@ tilery_test(test_scene_build LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_build.c ${render_kit})
 tilery_test(test_light_tree LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_light_tree.c ${render_kit})
+tilery_test(test_next_event LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_next_event.c ${render_kit})
 tilery_test(test_shade LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_shade.c ${render_kit})
 tilery_test(test_texture LABEL render LINKS tl_worker m

@@ -1,7 +1,7 @@
-/* Path tracing with next-event estimation and multiple importance sampling (Veach 1997, power
- * heuristic), a wave of paths at a time. Profiles: RW finds lights by bsdf sampling alone, NEE by
- * light sampling wherever that can, MIS weighs both. */
-#include "worker/render/shade.h"
+/* Path tracing with next-event estimation and multiple importance sampling, a wave of paths at a
+ * time. Profiles: RW finds lights by bsdf sampling alone, NEE by light sampling wherever that can,
+ * MIS weighs both. */
+#include "worker/render/next_event.h"
 #include "worker/render/warp.h"
 #include "worker/render/wave.h"
 
@@ -14,7 +14,7 @@ struct choices {
     double u[SAMPLER_SET_VALUES];
 };
 
-enum choice { CHOICE_LOBE, CHOICE_ROULETTE, CHOICE_LIGHT };
+enum choice { CHOICE_LOBE, CHOICE_ROULETTE, CHOICE_LIGHT, CHOICE_CANDIDATE };
 
 static double choose(struct choices *c, const struct path *path, enum choice which)
 {
@@ -26,26 +26,16 @@ static double choose(struct choices *c, const struct path *path, enum choice whi
     return c->u[which];
 }
 
-/* Weight of a technique with density a beside one with density b; the larger divides, so that
- * nothing overflows. */
-static double power_heuristic(double a, double b)
-{
-    if (a > b) {
-        double r = b / a;
-        return 1 / (1 + r * r);
-    }
-    double r = a / b;
-    return r * r / (1 + r * r);
-}
-
-/* Weight of light found by following a direction drawn with path->pdf, where light sampling would
- * have drawn it with light_pdf. */
+/* Weight of light found by following a direction drawn with path->pdf, where each candidate of
+ * light sampling would have been drawn with pdf_light. */
 static double found_weight(const struct render_scene *scene, const struct path *path,
                            double pdf_light)
 {
     if (path->pdf == 0 || scene->spec.profile == JOB_PROFILE_RW || pdf_light == 0)
         return 1;
-    return scene->spec.profile == JOB_PROFILE_NEE ? 0 : power_heuristic(path->pdf, pdf_light);
+    return scene->spec.profile == JOB_PROFILE_NEE
+               ? 0
+               : next_event_weight(path->pdf, path->candidates * pdf_light);
 }
 
 static void add_environment(const struct render_scene *scene, struct path *path, vec3 dir)
@@ -81,38 +71,21 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
 }
 
-/* The side from which a surface takes light, for light_sample. */
-static vec3 light_side(const struct shade *at)
-{
-    if (at->bsdf.material->transmits)
-        return v3(0, 0, 0);
-    return at->wo.z < 0 ? v3_neg(at->frame.n) : at->frame.n;
-}
-
 /* Next-event estimation: a shadow ray to a point drawn on a light. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
                            uint32_t index, const struct shade *at, struct choices *choices)
 {
-    struct light_sample light;
-    const struct surface *s = &at->surface;
+    struct next_event event;
     const struct path *path = &w->paths[index];
-    const double *u = path->light_u;
-    double which = scene->lights.count > 1 ? choose(choices, path, CHOICE_LIGHT) : 0;
-    if (!light_sample(&scene->lights, s->p, light_side(at), which, u[0], u[1], &light))
+    uint32_t count = next_event_count(scene, at->bsdf.material);
+    double light = scene->lights.count > 1 ? choose(choices, path, CHOICE_LIGHT) : 0;
+    double keep = count > 1 ? choose(choices, path, CHOICE_CANDIDATE) : 0;
+    if (!next_event_draw(scene, at, count, light, keep, path->light_u, &event))
         return;
-    vec3 wi = frame_to_local(&at->frame, light.wi);
-    if (!shade_is_consistent(at, light.wi, wi.z))
-        return;
-    double pdf;
-    rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
-    if (rgb_is_black(f))
-        return;
-    double weight = shade_tilt_shadowing(at, light.wi, wi.z) / light.pdf;
-    if (!light.delta && scene->spec.profile == JOB_PROFILE_MIS)
-        weight *= power_heuristic(light.pdf, pdf);
-    rgb arriving = rgb_scale(rgb_mul(rgb_mul(f, light.radiance), path->beta), weight);
-    vec3 org = surface_offset(s->p, s->ng, s->error, light.wi);
-    wave_shadow(w, index, org, light.target, light.distant, light.wi, arriving);
+    const struct surface *s = &at->surface;
+    vec3 wi = event.light.wi, org = surface_offset(s->p, s->ng, s->error, wi);
+    wave_shadow(w, index, org, event.light.target, event.light.distant, wi,
+                rgb_mul(event.arriving, path->beta));
 }
 
 /* Below the threshold a path survives in proportion to what it carries, and then carries the
@@ -160,7 +133,8 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     path->eta2 *= sample->eta2;
     path->pdf = delta ? 0 : sample->pdf;
     path->org = at->surface.p;
-    path->n = light_side(at);
+    path->n = next_event_side(at);
+    path->candidates = next_event_count(scene, at->bsdf.material);
     /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
     return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices));
 }

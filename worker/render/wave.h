@@ -27,13 +27,14 @@ struct path {
     rgb radiance;
     rgb beta; /* throughput */
     double filter_weight;
-    double eta2;       /* product of the index ratios that beta was scaled by, undone in roulette */
-    double carried;    /* what beta is multiplied by in roulette: throughput set aside by reuse */
-    double pdf;        /* with which the last direction was drawn; 0: by a delta lobe, or camera */
-    vec3 org, n;       /* where the last direction left from, and light_sample's n there */
-    double light_u[2]; /* where on a light the next vertex looks */
-    uint32_t passes;   /* surfaces gone straight through, by alpha */
-    uint32_t x, y;     /* pixel of the full picture */
+    double eta2;    /* product of the index ratios that beta was scaled by, undone in roulette */
+    double carried; /* what beta is multiplied by in roulette: throughput set aside by reuse */
+    double pdf;     /* with which the last direction was drawn; 0: by a delta lobe, or camera */
+    vec3 org, n;    /* where the last direction left from, and light_sample's n there */
+    uint32_t candidates; /* that light sampling drew there */
+    double light_u[2];   /* where on a light the next vertex looks */
+    uint32_t passes;     /* surfaces gone straight through, by alpha */
+    uint32_t x, y;       /* pixel of the full picture */
 };
 
 struct render_scratch {
@@ -86,7 +87,8 @@ enum {
     WAVE_SET_CAMERA = 0, /* light u, v at vertex 0; film x, y (alone: if no light is sampled) */
     WAVE_SET_LENS = 1,   /* lens u, v */
     WAVE_SET_VERTEX = 2, /* of vertex 0: bsdf u, v; light u, v at vertex 1 */
-    WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light */
+    WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light, which
+                            candidate */
     WAVE_SETS_PER_VERTEX = 2,
     WAVE_SET_SHARE = 1 << 29, /* roulette of reuse */
     WAVE_SET_PASS = 1 << 30,  /* opacity of the first surface gone through, and so on */

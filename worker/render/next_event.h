@@ -1,0 +1,49 @@
+/* worker/render/next_event.h: the point on a light that a vertex casts its shadow ray to.
+ *
+ * A smooth surface is given one drawn by light_sample. At a glossy one the lights that count are
+ * those that its lobe sees, of which the choice of a light knows nothing: there several candidates
+ * are drawn, and one is kept in proportion to what it would bring (resampled importance sampling,
+ * Talbot, Cline and Egbert 2005). The mean is that of one candidate. The weight of multiple
+ * importance sampling is a part of what is kept or dropped, so it may be that of the candidates as
+ * so many samples, and hangs on light_pdf and bsdf_eval alone.
+ *
+ * Any thread. Tests: test_next_event, test_mitsuba.
+ */
+#ifndef WORKER_RENDER_NEXT_EVENT_H
+#define WORKER_RENDER_NEXT_EVENT_H
+
+#include "worker/render/shade.h"
+
+enum { NEXT_EVENT_CANDIDATES_MAX = 8 };
+
+struct next_event {
+    struct light_sample light;
+    rgb arriving; /* what it sends back along the path when nothing is in the way, over its density
+                   */
+};
+
+/* How many candidates a surface of this material draws. */
+uint32_t next_event_count(const struct render_scene *scene, const struct material *m);
+
+/* The side from which a surface takes light, for light_sample. */
+vec3 next_event_side(const struct shade *at);
+
+/* Draws `count` candidates and keeps one. `choose` picks their lights, u and v their points, `keep`
+ * which is kept; all uniform in [0,1), `keep` looked at only if there are several. False when
+ * nothing arrives from any. */
+bool next_event_draw(const struct render_scene *scene, const struct shade *at, uint32_t count,
+                     double choose, double keep, const double u[2], struct next_event *out);
+
+/* Weight of a technique with density a beside one with density b (Veach 1997, power heuristic); the
+ * larger divides, so that nothing overflows. */
+static inline double next_event_weight(double a, double b)
+{
+    if (a > b) {
+        double r = b / a;
+        return 1 / (1 + r * r);
+    }
+    double r = a / b;
+    return r * r / (1 + r * r);
+}
+
+#endif
