@@ -11,8 +11,16 @@ static const double TREE_BYTES_PER_TRIANGLE = 55;
 /* With blocks of 64 bytes (docs/TRACING.md). */
 static const double COMPACT_BYTES_PER_TRIANGLE = 29;
 
-/* A light's row in the table, with its place in the distribution; the sky's per texel. */
-enum { LIGHT_BYTES = 344, SKY_BYTES_PER_TEXEL = 8, SKY_WIDTH_MAX = 2048 };
+/* A light's row in the table, with its place in the distribution; of a sky that is a picture per
+ * cell, of which there are as many across as texels within the bounds, and for its choice at
+ * normals. */
+enum {
+    LIGHT_BYTES = 344,
+    SKY_BYTES_PER_CELL = 8,
+    SKY_CELLS_MIN = 128,
+    SKY_CELLS_MAX = 2048,
+    SKY_CHOICE_BYTES = 1300000,
+};
 
 /* What tables are cut from comes in blocks of this; rows of them. */
 enum { BLOCK_BYTES = 1 << 18, OBJECT_BYTES = 480, MATERIAL_BYTES = 832, TEXTURE_BYTES = 176 };
@@ -109,8 +117,9 @@ struct scene_plan_memory scene_plan_memory(const struct scene *scene, const stru
         scene->envmap.texture == SCENE_NONE ? NULL : &scene->textures[scene->envmap.texture];
     if (sky && sky->type == SCENE_TEXTURE_IMAGE) {
         const struct scene_image *image = &scene->images[sky->image];
-        uint64_t width = image->width < SKY_WIDTH_MAX ? image->width : SKY_WIDTH_MAX;
-        out.lights += width * width / 2 * SKY_BYTES_PER_TEXEL;
+        uint64_t cells = image->width < SKY_CELLS_MAX ? image->width : SKY_CELLS_MAX;
+        cells = cells > SKY_CELLS_MIN ? cells : SKY_CELLS_MIN;
+        out.lights += cells * cells / 2 * SKY_BYTES_PER_CELL + SKY_CHOICE_BYTES;
     }
     bool compact = out.triangles >= SCENE_COMPACT_TRIANGLES_MIN;
     out.tree = (uint64_t)((double)out.triangles *

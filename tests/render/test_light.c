@@ -28,6 +28,19 @@ static double random_value(uint64_t *state)
     return (double)(sampler_mix(*state) >> 11) / 9007199254740992.0;
 }
 
+static void add_sky(struct scene *s)
+{
+    kit_constant_sky(s, 1);
+    struct scene_texture *t = &s->textures[s->envmap.texture];
+    t->type = SCENE_TEXTURE_CHECKERBOARD;
+    for (int k = 0; k < 3; k++) {
+        t->color[0][k] = 0.2;
+        t->color[1][k] = 3;
+    }
+    t->uv_matrix[0] = 3;
+    t->uv_matrix[4] = 2;
+}
+
 /* A lamp of each kind, and a sky with a pattern. */
 static struct render_scene *lamps(bool sky)
 {
@@ -36,17 +49,8 @@ static struct render_scene *lamps(bool sky)
     scene_init(&s);
     kit_emit(&s, kit_quad(&s, quad, SCENE_NONE), 1, 1, 1);
     kit_emit(&s, kit_sphere(&s, 2, 0, 0, 0.7, SCENE_NONE), 1, 1, 1);
-    if (sky) {
-        kit_constant_sky(&s, 1);
-        struct scene_texture *t = &s.textures[s.envmap.texture];
-        t->type = SCENE_TEXTURE_CHECKERBOARD;
-        for (int k = 0; k < 3; k++) {
-            t->color[0][k] = 0.2;
-            t->color[1][k] = 3;
-        }
-        t->uv_matrix[0] = 3;
-        t->uv_matrix[4] = 2;
-    }
+    if (sky)
+        add_sky(&s);
     struct job_spec spec = kit_spec(4, 1);
     struct render_scene *rs;
     assert_int_equal(scene_build(&s, &spec, NULL, &rs), ERR_OK);
@@ -165,6 +169,91 @@ static void sky_is_the_same_both_ways(void **state)
     render_scene_free(rs);
 }
 
+/* Nothing but a sky, as light for a profile. */
+static struct render_scene *open_air(enum job_profile profile)
+{
+    struct scene s;
+    scene_init(&s);
+    (void)kit_sphere(&s, 2, 0, 0, 0.7, SCENE_NONE);
+    add_sky(&s);
+    struct job_spec spec = kit_spec(4, 1);
+    struct render_scene *rs;
+    spec.profile = profile;
+    assert_int_equal(scene_build(&s, &spec, NULL, &rs), ERR_OK);
+    scene_release(&s);
+    return rs;
+}
+
+/* What draws over the sphere, below the horizon left out, observe beside what the density promises;
+ * returns the second moment of light times cosine over density. */
+static double compare_draws(const struct light_table *t, vec3 n)
+{
+    static double expected[ROWS * COLUMNS], observed[ROWS * COLUMNS];
+    double total = 0, moment = 0;
+    memset(observed, 0, sizeof observed);
+    for (int i = 0; i < ROWS * COLUMNS; i++) {
+        expected[i] = 0;
+        for (int k = 0; k < QUADRATURE * QUADRATURE; k++) {
+            double pdf;
+            vec3 w = sphere_point(i / COLUMNS + (k / QUADRATURE + 0.5) / QUADRATURE,
+                                  i % COLUMNS + (k % QUADRATURE + 0.5) / QUADRATURE);
+            (void)environment_radiance(t, n, w, &pdf);
+            assert_true(pdf > 0 || v3_dot(w, n) <= 0);
+            pdf *= 4 * VEC_PI / (ROWS * COLUMNS) / (QUADRATURE * QUADRATURE);
+            total += pdf;
+            expected[i] += v3_dot(w, n) > 0 ? pdf * SAMPLES : 0;
+        }
+    }
+    assert_true(fabs(total - 1) < 0.01);
+    uint64_t random = 3;
+    for (int i = 0; i < SAMPLES; i++) {
+        struct light_sample s;
+        double a = random_value(&random), b = random_value(&random);
+        if (!light_sample(t, v3(0, 0, 0), n, 0, a, b, &s))
+            continue;
+        double phi = dmath_atan2(s.wi.y, s.wi.x) / (2 * VEC_PI);
+        double weight = s.radiance.g * v3_dot(s.wi, n) / s.pdf;
+        int row = (int)((s.wi.z + 1) / 2 * ROWS);
+        int column = (int)((phi < 0 ? phi + 1 : phi) * COLUMNS);
+        observed[(row < ROWS ? row : ROWS - 1) * COLUMNS +
+                 (column < COLUMNS ? column : COLUMNS - 1)]++;
+        moment += weight * weight / SAMPLES;
+    }
+    /* The quadrature of an edge of the pattern or of the horizon is off by a part of a cell. */
+    for (int i = 0; i < ROWS * COLUMNS; i++) {
+        double slack = 0.02 * expected[i] + 0.01 * SAMPLES / 64.0;
+        assert_true(fabs(observed[i] - expected[i]) <= slack + 6 * sqrt(expected[i]));
+    }
+    return moment;
+}
+
+/* The sky is drawn by its light and the cosine at the normal: on a grid point of the tables, far
+ * from any, and for both kinds of tables. */
+static void sky_is_drawn_for_the_normal(void **state)
+{
+    (void)state;
+    const vec3 normals[] = {{0, 0, 1}, {0, -1, 0}, {0.31, -0.52, 0.43}, {-0.61, 0.07, -0.83}};
+    for (int k = 0; k < 8; k++) {
+        vec3 n = v3_unit(normals[k / 2]);
+        struct render_scene *rs = open_air(k % 2 ? JOB_PROFILE_NEE : JOB_PROFILE_MIS);
+        double moment = compare_draws(&rs->lights, n);
+        if (k % 2) {
+            /* Of light times cosine drawn exactly, the second moment is the square of the mean. */
+            double mean = 0;
+            enum { N = 100000 };
+            for (int i = 0; i < N; i++) {
+                double pdf;
+                vec3 w = warp_sphere((i + 0.5) / N, fmod(i * 0.6180339887498949, 1));
+                double cosine = v3_dot(w, n);
+                rgb sky = environment_radiance(&rs->lights, n, w, &pdf);
+                mean += cosine > 0 ? sky.g * cosine * 4 * VEC_PI / N : 0;
+            }
+            assert_true(moment < 1.2 * mean * mean);
+        }
+        render_scene_free(rs);
+    }
+}
+
 /* Mean weight 1, and weighted samples have the filter's moments. */
 static void filters_are_drawn_as_they_are(void **state)
 {
@@ -201,7 +290,11 @@ static void polynomials_are_sines(void **state)
         warp_sincos_turn(u, &s, &c);
         assert_true(fabs(s - sin(2 * VEC_PI * u)) < 1e-15);
         assert_true(fabs(c - cos(2 * VEC_PI * u)) < 1e-15);
+        assert_true(fabs(warp_turn_of(3 * s, 3 * c) - u) < 4e-16);
     }
+    assert_true(warp_turn_of(0, 0) == 0 && warp_turn_of(0, 2) == 0);
+    assert_true(warp_turn_of(1, 0) == 0.25 && warp_turn_of(0, -1) == 0.5);
+    assert_true(warp_turn_of(-1, 0) == 0.75 && warp_turn_of(-1, 1) == 0.875);
 }
 
 int main(void)
@@ -209,6 +302,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(samples_have_the_density),
         cmocka_unit_test(sky_is_the_same_both_ways),
+        cmocka_unit_test(sky_is_drawn_for_the_normal),
         cmocka_unit_test(filters_are_drawn_as_they_are),
         cmocka_unit_test(polynomials_are_sines),
     };

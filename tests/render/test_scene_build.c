@@ -339,6 +339,34 @@ static void shared_scenes_change_no_bit(void **state)
     scene_release(&s);
 }
 
+/* A sky that is a picture has other tables for MIS. */
+static void skies_are_not_shared_with_other_profiles(void **state)
+{
+    (void)state;
+    for (int picture = 0; picture < 2; picture++) {
+        struct scene s;
+        scene_init(&s);
+        kit_cornell(&s, KIT_AREA_LIGHT);
+        kit_constant_sky(&s, 1);
+        if (picture)
+            s.textures[s.envmap.texture].type = SCENE_TEXTURE_CHECKERBOARD;
+        struct job_spec spec = kit_spec(16, 4), other = spec;
+        struct render_scene *first, *second;
+        assert_int_equal(scene_build(&s, &spec, NULL, &first), ERR_OK);
+        other.profile = JOB_PROFILE_NEE;
+        enum err e = render_scene_share(first, &other, &second);
+        assert_int_equal(e, picture ? ERR_VERSION : ERR_OK);
+        if (!picture)
+            assert_false(render_scene_free(second));
+        other = spec;
+        other.max_depth = 3;
+        assert_int_equal(render_scene_share(first, &other, &second), ERR_OK);
+        assert_false(render_scene_free(second));
+        assert_true(render_scene_free(first));
+        scene_release(&s);
+    }
+}
+
 /* Trees of objects that are built when a ray first meets them: the same picture. */
 static void waiting_trees_change_no_bit(void **state)
 {
@@ -434,6 +462,7 @@ int main(void)
         cmocka_unit_test(an_extent_beyond_double_is_refused),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(shared_scenes_change_no_bit),
+        cmocka_unit_test(skies_are_not_shared_with_other_profiles),
         cmocka_unit_test(waiting_trees_change_no_bit),
         cmocka_unit_test(the_plan_knows_which_trees_wait),
     };

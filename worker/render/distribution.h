@@ -1,8 +1,8 @@
-/* worker/render/distribution.h: drawing from tabulated densities, in one and two dimensions.
+/* worker/render/distribution.h: drawing from a tabulated density.
  *
  * Inversion of the cumulated weights, so that strata of u survive. Memory comes from
  * an arena. Building: one thread; drawing: any.
- * Tests: test_light, by the sky.
+ * Tests: test_light.
  */
 #ifndef WORKER_RENDER_DISTRIBUTION_H
 #define WORKER_RENDER_DISTRIBUTION_H
@@ -27,20 +27,5 @@ static inline double distribution_1d_probability(const struct distribution_1d *d
 {
     return d->cdf[index + 1] - d->cdf[index];
 }
-
-/* Piecewise constant over the unit square; rows are along y. */
-struct distribution_2d {
-    struct distribution_1d rows;     /* which row */
-    struct distribution_1d *columns; /* in each row */
-    size_t width, height;
-};
-
-TL_NODISCARD enum err distribution_2d_init(struct distribution_2d *d, struct arena *arena,
-                                           const double *weights, size_t width, size_t height);
-
-/* A point (x, y) of the unit square; returns its density. */
-double distribution_2d_sample(const struct distribution_2d *d, double u, double v, double *x,
-                              double *y);
-double distribution_2d_pdf(const struct distribution_2d *d, double x, double y);
 
 #endif

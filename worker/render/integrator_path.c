@@ -26,25 +26,24 @@ static double choose(struct choices *c, const struct path *path, enum choice whi
     return c->u[which];
 }
 
-/* Weight of light found by following a direction drawn with path->pdf, where each candidate of
- * light sampling would have been drawn with pdf_light. */
-static double found_weight(const struct render_scene *scene, const struct path *path,
-                           double pdf_light)
+/* True if light found by following a direction counts in whole, or not at all: `weight` is 1 or 0.
+ * Else light sampling might have found it, too. */
+static bool is_found_alone(const struct render_scene *scene, const struct path *path,
+                           double pdf_light, double *weight)
 {
-    if (path->pdf == 0 || scene->spec.profile == JOB_PROFILE_RW || pdf_light == 0)
-        return 1;
-    return scene->spec.profile == JOB_PROFILE_NEE
-               ? 0
-               : next_event_weight(path->pdf, path->candidates * pdf_light);
+    bool alone = path->pdf == 0 || scene->spec.profile == JOB_PROFILE_RW || pdf_light == 0;
+    *weight = alone;
+    return alone || scene->spec.profile == JOB_PROFILE_NEE;
 }
 
 static void add_environment(const struct render_scene *scene, struct path *path, vec3 dir)
 {
     if (!scene->lights.environment.present)
         return;
-    double pdf;
+    double pdf, weight;
     rgb sky = environment_radiance(&scene->lights, path->n, dir, &pdf);
-    double weight = found_weight(scene, path, pdf);
+    if (!is_found_alone(scene, path, pdf, &weight))
+        weight = next_event_sky_weight(path->pdf, path->candidates * pdf);
     path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky), weight));
 }
 
@@ -61,7 +60,8 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
     if (path->pdf > 0 && light != SCENE_NONE) {
         vec3 d = v3_sub(s->p, path->org);
         double pdf = light_pdf(&scene->lights, light, path->org, path->n, v3_dot(d, d), cosine);
-        weight = found_weight(scene, path, pdf);
+        if (!is_found_alone(scene, path, pdf, &weight))
+            weight = next_event_weight(path->pdf, path->candidates * pdf);
     }
     rgb light_in = rgb_mul(path->beta, object->radiance);
     /* What light sampling finds too must be the same there: at points. */

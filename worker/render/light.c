@@ -1,6 +1,5 @@
 #include "worker/render/light.h"
 
-#include "common/dmath.h"
 #include "worker/render/warp.h"
 
 rgb light_emission(const struct light *l, double b1, double b2)
@@ -92,16 +91,20 @@ static bool sample_point(const struct light *l, vec3 p, struct light_sample *s)
     return falloff > 0;
 }
 
-/* SCENE-FORMAT's map: u = phi / 2 pi with phi = atan2(x, -z), v = theta / pi from +y. */
-static vec3 environment_direction(const struct environment *e, double u, double v, double *sine)
+vec3 environment_to_scene(const struct environment *e, vec3 l)
 {
-    double sp, cp, ct;
-    warp_sincos_turn(u, &sp, &cp);
-    dmath_sincos(v * VEC_PI, sine, &ct);
-    vec3 l = v3(*sine * sp, ct, -*sine * cp);
     const double *m = e->to_local;
     return v3(m[0] * l.x + m[3] * l.y + m[6] * l.z, m[1] * l.x + m[4] * l.y + m[7] * l.z,
               m[2] * l.x + m[5] * l.y + m[8] * l.z);
+}
+
+/* SCENE-FORMAT's map: u = phi / 2 pi with phi = atan2(x, -z), v = theta / pi from +y. */
+vec3 environment_direction(const struct environment *e, double u, double v, double *sine)
+{
+    double sp, cp, ct;
+    warp_sincos_turn(u, &sp, &cp);
+    warp_sincos_turn(v * 0.5, sine, &ct);
+    return environment_to_scene(e, v3(*sine * sp, ct, -*sine * cp));
 }
 
 rgb environment_lookup(const struct environment *e, double u, double v)
@@ -112,11 +115,10 @@ rgb environment_lookup(const struct environment *e, double u, double v)
     return rgb_mul(e->factor, texture_color(e->texture, u, image ? 1 - v : v));
 }
 
-static double environment_pdf(const struct environment *e, double u, double v, double sine)
+/* Of a density over the square of the map, that over directions. */
+static double per_steradian(double density, double sine)
 {
-    if (!(sine > 0))
-        return 0;
-    return distribution_2d_pdf(&e->image, u, v) / (2 * VEC_PI * VEC_PI * sine);
+    return density / (2 * VEC_PI * VEC_PI * sine);
 }
 
 /* Density of directions to a sky of one colour, as sample_environment draws them. */
@@ -143,11 +145,10 @@ rgb environment_radiance(const struct light_table *t, vec3 n, vec3 w, double *pd
     const double *m = e->to_local;
     vec3 l = v3(m[0] * w.x + m[1] * w.y + m[2] * w.z, m[3] * w.x + m[4] * w.y + m[5] * w.z,
                 m[6] * w.x + m[7] * w.y + m[8] * w.z);
-    double phi = dmath_atan2(l.x, -l.z);
-    double u = (phi < 0 ? phi + 2 * VEC_PI : phi) / (2 * VEC_PI);
     double sine = sqrt(l.x * l.x + l.z * l.z);
-    double v = dmath_atan2(sine, l.y) / VEC_PI;
-    *pdf = probability * environment_pdf(e, u, v, sine);
+    double u = warp_turn_of(l.x, -l.z), v = 2 * warp_turn_of(sine, l.y);
+    if (sine > 0)
+        *pdf = probability * per_steradian(sky_density(&e->map, sky_table(n), u, v), sine);
     return environment_lookup(e, u, v);
 }
 
@@ -171,11 +172,11 @@ static bool sample_environment(const struct environment *e, vec3 n, double u, do
     if (!e->texture)
         return sample_constant_sky(e, n, u, v, s);
     double x, y, sine;
-    double density = distribution_2d_sample(&e->image, u, v, &x, &y);
+    double density = sky_draw(&e->map, sky_table(n), u, v, &x, &y);
     s->wi = environment_direction(e, x, y, &sine);
     if (!(sine > 0) || (v3_abs_max(n) > 0 && !(v3_dot(n, s->wi) > 0)))
         return false;
-    s->pdf = density / (2 * VEC_PI * VEC_PI * sine);
+    s->pdf = per_steradian(density, sine);
     s->radiance = environment_lookup(e, x, y);
     return true;
 }

@@ -15,6 +15,7 @@
 
 #include "worker/render/distribution.h"
 #include "worker/render/light_tree.h"
+#include "worker/render/sky.h"
 #include "worker/render/texture.h"
 #include "worker/render/vec.h"
 
@@ -48,7 +49,7 @@ struct environment {
     rgb factor;                    /* scale times the constant */
     const struct texture *texture; /* an image; NULL: constant */
     double to_local[9];            /* rotation, world to local */
-    struct distribution_2d image;  /* luminance times sine per texel; empty when constant */
+    struct sky_map map;            /* empty when constant */
 };
 
 struct light_table {
@@ -94,6 +95,13 @@ rgb light_emission(const struct light *l, double b1, double b2);
 
 /* Radiance of the sky at a point of its map. */
 rgb environment_lookup(const struct environment *e, double u, double v);
+
+/* The direction in scene space of a point of the sky's map, and the sine of its angle to the
+ * poles. */
+vec3 environment_direction(const struct environment *e, double u, double v, double *sine);
+
+/* From the map's own space to the scene's. */
+vec3 environment_to_scene(const struct environment *e, vec3 l);
 
 /* Radiance of the sky in a direction of scene space, and the density of light_sample with n. */
 rgb environment_radiance(const struct light_table *t, vec3 n, vec3 w, double *pdf);

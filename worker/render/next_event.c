@@ -32,7 +32,8 @@ static bool draw_one(const struct render_scene *scene, const struct shade *at, u
         return false;
     double weight = shade_tilt_shadowing(at, light->wi, wi.z) / light->pdf;
     if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
-        weight *= next_event_weight(count * light->pdf, pdf);
+        weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf)
+                                 : next_event_weight(count * light->pdf, pdf);
     out->arriving = rgb_scale(rgb_mul(f, light->radiance), weight);
     return true;
 }

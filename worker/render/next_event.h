@@ -46,4 +46,13 @@ static inline double next_event_weight(double a, double b)
     return r * r / (1 + r * r);
 }
 
+/* The same for light of the sky, by the balance heuristic: a sky that is a picture is drawn so that
+ * this weight gives both techniques together the density of what a diffuse surface reflects
+ * (worker/scene/scene_sky.c). */
+static inline double next_event_sky_weight(double a, double b)
+{
+    double r = a > b ? b / a : a / b;
+    return (a > b ? 1 : r) / (1 + r);
+}
+
 #endif

@@ -102,13 +102,16 @@ static void aim(struct render_scene *rs)
     rs->footprint_step = footprint_step(&rs->spec);
 }
 
-/* True if scene_build would make the same tables and the same tree: what it reads of the spec but
- * for aim. */
-static bool same_tables(const struct job_spec *a, const struct job_spec *b)
+/* True if scene_build would make the same tables and the same tree for b: what it reads of the spec
+ * but for aim. */
+static bool same_tables(const struct render_scene *rs, const struct job_spec *b)
 {
-    return a->builder == b->builder && a->intersector == b->intersector &&
-           a->precision == b->precision && a->light_choice == b->light_choice &&
-           aov_has(a->aov, AOV_UV) == aov_has(b->aov, AOV_UV);
+    const struct job_spec *a = &rs->spec;
+    /* A sky that is a picture is drawn in another way where its light is found in both. */
+    bool mis = (a->profile == JOB_PROFILE_MIS) == (b->profile == JOB_PROFILE_MIS);
+    return (mis || !rs->lights.environment.texture) && a->builder == b->builder &&
+           a->intersector == b->intersector && a->precision == b->precision &&
+           a->light_choice == b->light_choice && aov_has(a->aov, AOV_UV) == aov_has(b->aov, AOV_UV);
 }
 
 static enum err build(struct render_scene *rs, const struct scene *scene,
@@ -155,7 +158,7 @@ enum err render_scene_share(struct render_scene *rs, const struct job_spec *spec
                             struct render_scene **out)
 {
     struct render_scene *owner = rs->owner ? rs->owner : rs;
-    if (!same_tables(&rs->spec, spec))
+    if (!same_tables(rs, spec))
         return ERR_VERSION;
     struct render_scene *view = mem_alloc(sizeof *view);
     if (!view)

@@ -1,20 +1,9 @@
 /* Emitting triangles, spheres, lights without a surface and the sky to one table to draw from.
- * Owns their powers and the sky's density; memory is the scene's arena. One thread. */
+ * Owns their powers; memory is the scene's arena. One thread. */
 #include "worker/scene/scene_parts.h"
 
 #include "common/dmath.h"
 #include "worker/render/warp.h"
-
-enum {
-    /* The sky is tabulated at its image's resolution up to this, and this coarse without an image.
-     */
-    SKY_WIDTH_MAX = 2048,
-    SKY_WIDTH_PATTERN = 256,
-};
-
-/* A share of the sky's density that no texel goes without, so that a light between the places
- * where the table looked is found. */
-static const double SKY_FLOOR = 0.001;
 
 /* The least that a textured light counts, of what it would without its texture. */
 static const double TEXTURE_FLOOR = 0.01;
@@ -176,104 +165,12 @@ static double light_power(const struct light *l, const struct environment *sky)
     case LIGHT_DISTANT:
         return VEC_PI * value;
     case LIGHT_ENVIRONMENT: {
-        double mean = sky->texture ? sky->image.rows.sum : 1;
+        double mean = sky->texture ? sky->map.mean : 1;
         return 4 * VEC_PI * VEC_PI * value * mean;
     }
     default:
         return VEC_PI * l->area * (l->texture ? textured_luminance(l) : value);
     }
-}
-
-/* The inverse of the transform's rotation: its columns made orthonormal, transposed. */
-static void sky_rotation(const double m[16], double to_local[9])
-{
-    vec3 x = v3(m[0], m[4], m[8]), y = v3(m[1], m[5], m[9]), z = v3(m[2], m[6], m[10]);
-    double handed = v3_dot(v3_cross(x, y), z) < 0 ? -1 : 1;
-    x = v3_unit(x);
-    y = v3_unit(v3_sub(y, v3_scale(x, v3_dot(x, y))));
-    z = v3_scale(v3_cross(x, y), handed);
-    /* A transform that flattens space has no rotation. */
-    if (!(fabs(v3_dot(v3_cross(x, y), z)) > 0.5)) {
-        x = v3(1, 0, 0);
-        y = v3(0, 1, 0);
-        z = v3(0, 0, 1);
-    }
-    v3_put(to_local, x);
-    v3_put(to_local + 3, y);
-    v3_put(to_local + 6, z);
-}
-
-/* Mean luminance of a cell of the sky's map, from its corners and middle. */
-static double sky_cell(const struct environment *sky, size_t x, size_t y, size_t width,
-                       size_t height)
-{
-    static const double place[5][2] = {{0, 0}, {1, 0}, {0, 1}, {1, 1}, {0.5, 0.5}};
-    double sum = 0;
-    for (int k = 0; k < 5; k++) {
-        double u = ((double)x + place[k][0]) / (double)width;
-        double v = ((double)y + place[k][1]) / (double)height;
-        sum += rgb_luminance(environment_lookup(sky, u, v));
-    }
-    return sum > 0 ? sum / 5 : 0;
-}
-
-/* Tabulates luminance times sine; scaled so that the sum of the weights is the mean luminance
- * over the sphere. */
-static enum err tabulate_sky(struct render_scene *rs, struct environment *sky)
-{
-    size_t width = SKY_WIDTH_PATTERN, height = SKY_WIDTH_PATTERN / 2;
-    if (sky->texture->type == SCENE_TEXTURE_IMAGE) {
-        const struct texture_level *finest = &sky->texture->image->levels[0];
-        width = finest->width < SKY_WIDTH_MAX ? finest->width : SKY_WIDTH_MAX;
-        height = finest->height < SKY_WIDTH_MAX / 2 ? finest->height : SKY_WIDTH_MAX / 2;
-    }
-    double *weights = mem_alloc_array(width * height, sizeof *weights);
-    if (!weights)
-        return ERR_NOMEM;
-    double sum = 0, sines = 0;
-    for (size_t y = 0; y < height; y++) {
-        double sine = dmath_sinpi(((double)y + 0.5) / (double)height);
-        sines += sine * (double)width;
-        for (size_t x = 0; x < width; x++) {
-            weights[y * width + x] = sky_cell(sky, x, y, width, height) * sine;
-            sum += weights[y * width + x];
-        }
-    }
-    double floor_weight = SKY_FLOOR * sum / sines;
-    for (size_t y = 0; y < height; y++) {
-        double sine = dmath_sinpi(((double)y + 0.5) / (double)height);
-        for (size_t x = 0; x < width; x++) {
-            double *weight = &weights[y * width + x];
-            *weight = (*weight + floor_weight * sine) / sines;
-        }
-    }
-    enum err e = distribution_2d_init(&sky->image, &rs->arena, weights, width, height);
-    mem_free(weights);
-    return e;
-}
-
-static enum err build_sky(struct render_scene *rs, const struct scene *scene)
-{
-    const struct scene_envmap *from = &scene->envmap;
-    struct environment *sky = &rs->lights.environment;
-    if (from->texture == SCENE_NONE)
-        return ERR_OK;
-    sky->present = true;
-    sky->factor = rgb_grey(from->scale);
-    sky_rotation(from->transform, sky->to_local);
-    const struct texture *texture = &rs->textures[from->texture];
-    if (texture->type == SCENE_TEXTURE_CONSTANT) {
-        sky->factor = rgb_scale(texture->color[0], from->scale);
-        return ERR_OK;
-    }
-    /* Its own copy: the poles are not each other's neighbours. */
-    struct texture *copy = arena_alloc(&rs->arena, 1, sizeof *copy);
-    if (!copy)
-        return ERR_NOMEM;
-    *copy = *texture;
-    copy->wrap[1] = SCENE_WRAP_CLAMP;
-    sky->texture = copy;
-    return tabulate_sky(rs, sky);
 }
 
 /* Space for the lights and for each emitting object's primitives. */
@@ -378,7 +275,7 @@ enum err scene_build_lights(struct render_scene *rs, const struct scene *scene)
     struct light_table *t = &rs->lights;
     uint32_t *object_lights;
     t->environment_light = SCENE_NONE;
-    TL_TRY(build_sky(rs, scene));
+    TL_TRY(scene_build_sky(rs, scene));
     TL_TRY(allocate(rs, scene, &object_lights));
     for (size_t i = 0; i < rs->object_count; i++) {
         const struct render_object *o = &rs->objects[i];

@@ -21,6 +21,9 @@ TL_NODISCARD enum err scene_build_materials(struct render_scene *rs, const struc
 /* Area lights of the objects, the lights of the scene, the environment. After the others. */
 TL_NODISCARD enum err scene_build_lights(struct render_scene *rs, const struct scene *scene);
 
+/* The environment: how it is turned, and how its map is drawn. After the materials. */
+TL_NODISCARD enum err scene_build_sky(struct render_scene *rs, const struct scene *scene);
+
 /* The tree over the lights with a place; intensities[light] is that along its axis. Leaves
  * lights.tree.nodes NULL if there is none. After the table of lights is complete. */
 TL_NODISCARD enum err scene_build_light_tree(struct render_scene *rs, const double *intensities);

@@ -1,0 +1,339 @@
+/* The sky's map to tables of where its light comes from, for worker/render/sky.h. Memory is the
+ * scene's arena. One thread. */
+#include "worker/scene/scene_parts.h"
+
+#include "common/dmath.h"
+#include "worker/render/warp.h"
+
+/* Cells across the map: as many as texels, within these bounds. A picture of few texels has light
+ * that changes within them. */
+enum { CELLS_ACROSS_MIN = 128, CELLS_ACROSS_MAX = 2048, CELLS_ACROSS_PATTERN = 256 };
+
+/* A share of the mean luminance that every cell has, so that a light between the places where the
+ * table looked is found. */
+static const double SKY_FLOOR = 0.001;
+
+/* So much of the cosine's own density is left to the surface's directions, where both kinds are
+ * drawn: the two together, one of each, then have the density of what a diffuse surface reflects.
+ */
+static const double COMPENSATION = 0.5;
+
+/* Of its light, the least that a block counts after that. */
+static const double BLOCK_FLOOR = 0.02;
+
+struct angle {
+    double sine, cosine;
+};
+
+struct block {
+    double weight;       /* of its cells */
+    double solid;        /* its share of the sphere */
+    vec3 middle;         /* the mean direction of its light, in the scene; shorter than 1 */
+    struct angle radius; /* no point of it is further from that */
+};
+
+/* The inverse of the transform's rotation: its columns made orthonormal, transposed. */
+static void sky_rotation(const double m[16], double to_local[9])
+{
+    vec3 x = v3(m[0], m[4], m[8]), y = v3(m[1], m[5], m[9]), z = v3(m[2], m[6], m[10]);
+    double handed = v3_dot(v3_cross(x, y), z) < 0 ? -1 : 1;
+    x = v3_unit(x);
+    y = v3_unit(v3_sub(y, v3_scale(x, v3_dot(x, y))));
+    z = v3_scale(v3_cross(x, y), handed);
+    /* A transform that flattens space has no rotation. */
+    if (!(fabs(v3_dot(v3_cross(x, y), z)) > 0.5)) {
+        x = v3(1, 0, 0);
+        y = v3(0, 1, 0);
+        z = v3(0, 0, 1);
+    }
+    v3_put(to_local, x);
+    v3_put(to_local + 3, y);
+    v3_put(to_local + 6, z);
+}
+
+/* --- Cells ---------------------------------------------------------------- */
+
+static double luminance_at(const struct environment *sky, double x, double y)
+{
+    double value = rgb_luminance(environment_lookup(sky, x / sky->map.width, y / sky->map.height));
+    return value > 0 ? value : 0;
+}
+
+/* Luminances along a row, at x = `from`, from + 1, ... */
+static void luminances(const struct environment *sky, double from, double y, uint32_t count,
+                       double *out)
+{
+    for (uint32_t x = 0; x < count; x++)
+        out[x] = luminance_at(sky, x + from, y);
+}
+
+/* The mean luminance of each cell, from its corners and middle, to where the cumulated weights are
+ * to be: that of cell x of row y at along[y * (width + 1) + x + 1]. */
+static enum err measure_cells(const struct environment *sky, double *along)
+{
+    uint32_t width = sky->map.width;
+    double *above = mem_alloc_array(3 * (size_t)(width + 1), sizeof *above);
+    if (!above)
+        return ERR_NOMEM;
+    double *below = above + width + 1, *middle = below + width + 1;
+    luminances(sky, 0, 0, width + 1, above);
+    for (uint32_t y = 0; y < sky->map.height; y++) {
+        double *cells = along + (size_t)y * (width + 1);
+        luminances(sky, 0, y + 1.0, width + 1, below);
+        luminances(sky, 0.5, y + 0.5, width, middle);
+        for (uint32_t x = 0; x < width; x++)
+            cells[x + 1] = (above[x] + above[x + 1] + below[x] + below[x + 1] + middle[x]) / 5;
+        memcpy(above, below, (width + 1) * sizeof *above);
+    }
+    mem_free(above);
+    return ERR_OK;
+}
+
+/* From luminances to weights, which are times the sine, with the floor, such that their sum is the
+ * mean luminance over the sphere; cumulated along each row. */
+static void cumulate_cells(struct sky_map *m, double *along)
+{
+    size_t stride = m->width + 1;
+    double sum = 0, sines = 0;
+    for (uint32_t y = 0; y < m->height; y++) {
+        double sine = dmath_sinpi((y + 0.5) / m->height), row = 0;
+        for (uint32_t x = 1; x <= m->width; x++)
+            row += along[y * stride + x];
+        sines += sine * m->width;
+        sum += sine * row;
+    }
+    m->mean = sum / sines;
+    double least = sum > 0 ? SKY_FLOOR * m->mean : 1;
+    for (uint32_t y = 0; y < m->height; y++) {
+        double *cells = along + y * stride, running = 0;
+        double scale = dmath_sinpi((y + 0.5) / m->height) / sines;
+        cells[0] = 0;
+        for (uint32_t x = 1; x <= m->width; x++)
+            cells[x] = running += (cells[x] + least) * scale;
+    }
+}
+
+static void cumulate_rows(const struct sky_map *m, double *down)
+{
+    for (uint32_t across = 0; across < SKY_BLOCKS_ACROSS; across++) {
+        double *rows = down + (size_t)across * (m->height + 1), running = 0;
+        size_t left = (size_t)across * m->block_width;
+        rows[0] = 0;
+        for (uint32_t y = 0; y < m->height; y++) {
+            const double *cells = m->along + y * (size_t)(m->width + 1) + left;
+            rows[y + 1] = running += cells[m->block_width] - cells[0];
+        }
+    }
+}
+
+/* --- Blocks --------------------------------------------------------------- */
+
+static struct angle angle_of(double radians)
+{
+    struct angle a;
+    dmath_sincos(radians, &a.sine, &a.cosine);
+    return a;
+}
+
+static double angle_between(vec3 a, vec3 b)
+{
+    return dmath_atan2(v3_length(v3_cross(a, b)), v3_dot(a, b));
+}
+
+/* The greater of an angle and that between two directions, with what bulges between the points of
+ * an outline: for an outline of a sixteenth of a half circle less than a fiftieth of it. */
+static double reach(double angle, vec3 a, vec3 b)
+{
+    double other = 1.02 * angle_between(a, b);
+    return other > angle ? other : angle;
+}
+
+static vec3 sky_direction(const struct environment *sky, double x, double y)
+{
+    double sine;
+    return environment_direction(sky, x / sky->map.width, y / sky->map.height, &sine);
+}
+
+/* The directions of a map's columns at the horizon, in its own space. */
+static vec3 *column_directions(const struct sky_map *m)
+{
+    vec3 *out = mem_alloc_array(m->width, sizeof *out);
+    for (uint32_t x = 0; out && x < m->width; x++) {
+        double s, c;
+        warp_sincos_turn((x + 0.5) / m->width, &s, &c);
+        out[x] = v3(s, 0, -c);
+    }
+    return out;
+}
+
+/* Sums over the cells of a block. */
+static struct block block_of(const struct environment *sky, const vec3 *columns, uint32_t across,
+                             uint32_t down)
+{
+    const struct sky_map *m = &sky->map;
+    uint32_t left = across * m->block_width, top = down * m->block_height;
+    struct block b = {0};
+    vec3 moment = {0, 0, 0};
+    for (uint32_t y = top; y < top + m->block_height; y++) {
+        const double *cells = m->along + y * (size_t)(m->width + 1) + left;
+        double weight = cells[m->block_width] - cells[0];
+        double sine = dmath_sinpi((y + 0.5) / m->height);
+        vec3 row = v3(0, dmath_cospi((y + 0.5) / m->height) * weight, 0);
+        for (uint32_t x = 0; x < m->block_width; x++)
+            row = v3_mad(row, columns[left + x], (cells[x + 1] - cells[x]) * sine);
+        moment = v3_add(moment, row);
+        b.weight += weight;
+        b.solid += sine * m->block_width;
+    }
+    b.middle = v3_scale(environment_to_scene(sky, moment), 1 / b.weight);
+    double radius = 0;
+    for (int k = 0; k < 9; k++) {
+        double x = left + (k % 3) * 0.5 * m->block_width, y = top + (k / 3) * 0.5 * m->block_height;
+        radius = reach(radius, sky_direction(sky, x, y), b.middle);
+    }
+    b.radius = angle_of(radius);
+    return b;
+}
+
+/* No normal of a table is further from its grid point n at x, y than this. */
+static struct angle table_radius(double x, double y, vec3 n)
+{
+    double half = 1.0 / (SKY_GRID - 1), radius = 0;
+    for (int k = 0; k < 9; k++) {
+        double nx = x + (k % 3 - 1) * half, ny = y + (k / 3 - 1) * half;
+        if (fabs(nx) <= 1 && fabs(ny) <= 1)
+            radius = reach(radius, sky_unfolded(nx, ny), n);
+    }
+    return angle_of(radius);
+}
+
+/* The mean cosine of a block's light at normals about n: as if it spread evenly by the radii about
+ * its mean, where that is above the horizon. 0 only if no normal sees any of the block. */
+static double mean_cosine(const struct block *b, vec3 n, const struct angle *radius)
+{
+    double q = v3_dot(n, b->middle), spread = 1;
+    if (b->radius.cosine * radius->cosine > b->radius.sine * radius->sine)
+        spread = b->radius.sine * radius->cosine + b->radius.cosine * radius->sine;
+    return q >= spread ? q : q > -spread ? (q + spread) * (q + spread) / (4 * spread) : 0;
+}
+
+static void cumulate(const double *weights, uint32_t count, double *sums)
+{
+    double sum = 0, running = 0;
+    for (uint32_t i = 0; i < count; i++)
+        sum += weights[i];
+    sums[0] = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        running += weights[i];
+        sums[i + 1] = sum > 0 ? running / sum : (i + 1.0) / count;
+    }
+}
+
+/* How blocks are drawn that are seen under these mean cosines. */
+static void choose_blocks(const struct block *blocks, const double *cosines, double compensation,
+                          struct sky_choice *out)
+{
+    double light = 0, solid = 0;
+    for (uint32_t i = 0; i < SKY_BLOCKS; i++) {
+        light += blocks[i].weight * cosines[i];
+        solid += blocks[i].solid * cosines[i];
+    }
+    double rows[SKY_BLOCKS_DOWN], shares[SKY_BLOCKS_ACROSS];
+    double less = compensation * light / solid;
+    for (uint32_t y = 0; y < SKY_BLOCKS_DOWN; y++) {
+        rows[y] = 0;
+        for (uint32_t x = 0; x < SKY_BLOCKS_ACROSS; x++) {
+            uint32_t i = y * SKY_BLOCKS_ACROSS + x;
+            double share = blocks[i].weight - less * blocks[i].solid;
+            double least = BLOCK_FLOOR * blocks[i].weight;
+            shares[x] = (share > least ? share : least) * cosines[i];
+            rows[y] += shares[x];
+        }
+        cumulate(shares, SKY_BLOCKS_ACROSS, out->column[y]);
+    }
+    cumulate(rows, SKY_BLOCKS_DOWN, out->row);
+}
+
+static enum err choose_at_normals(const struct environment *sky, double compensation,
+                                  struct sky_choice *choices)
+{
+    struct block *blocks = mem_alloc_array(SKY_BLOCKS, sizeof *blocks);
+    vec3 *columns = column_directions(&sky->map);
+    if (!blocks || !columns) {
+        mem_free(blocks);
+        mem_free(columns);
+        return ERR_NOMEM;
+    }
+    double cosines[SKY_BLOCKS];
+    for (uint32_t i = 0; i < SKY_BLOCKS; i++) {
+        blocks[i] = block_of(sky, columns, i % SKY_BLOCKS_ACROSS, i / SKY_BLOCKS_ACROSS);
+        cosines[i] = 1;
+    }
+    choose_blocks(blocks, cosines, compensation, &choices[SKY_ANYWHERE]);
+    for (uint32_t i = 0; i < SKY_NORMALS; i++) {
+        double step = 2.0 / (SKY_GRID - 1);
+        double x = (i % SKY_GRID) * step - 1, y = (double)(i / SKY_GRID) * step - 1;
+        vec3 n = sky_unfolded(x, y);
+        struct angle radius = table_radius(x, y, n);
+        for (uint32_t k = 0; k < SKY_BLOCKS; k++)
+            cosines[k] = mean_cosine(&blocks[k], n, &radius);
+        choose_blocks(blocks, cosines, compensation, &choices[i]);
+    }
+    mem_free(blocks);
+    mem_free(columns);
+    return ERR_OK;
+}
+
+/* --- The map -------------------------------------------------------------- */
+
+static enum err tabulate(struct render_scene *rs, struct environment *sky)
+{
+    struct sky_map *m = &sky->map;
+    uint32_t width = sky->texture->type == SCENE_TEXTURE_IMAGE
+                         ? sky->texture->image->levels[0].width
+                         : CELLS_ACROSS_PATTERN;
+    width = width < CELLS_ACROSS_MIN ? CELLS_ACROSS_MIN : width;
+    width = width > CELLS_ACROSS_MAX ? CELLS_ACROSS_MAX : width;
+    m->block_width = (width + SKY_BLOCKS_ACROSS - 1) / SKY_BLOCKS_ACROSS;
+    m->block_height = m->block_width;
+    m->width = m->block_width * SKY_BLOCKS_ACROSS;
+    m->height = m->block_height * SKY_BLOCKS_DOWN;
+    double *along = arena_alloc(&rs->arena, (m->width + 1) * (size_t)m->height, sizeof *along);
+    double *down =
+        arena_alloc(&rs->arena, SKY_BLOCKS_ACROSS * (size_t)(m->height + 1), sizeof *down);
+    struct sky_choice *choices = arena_alloc(&rs->arena, SKY_TABLES, sizeof *choices);
+    if (!along || !down || !choices)
+        return ERR_NOMEM;
+    TL_TRY(measure_cells(sky, along));
+    cumulate_cells(m, along);
+    m->along = along;
+    cumulate_rows(m, down);
+    m->down = down;
+    m->choices = choices;
+    bool both = rs->spec.profile == JOB_PROFILE_MIS;
+    return choose_at_normals(sky, both ? COMPENSATION : 0, choices);
+}
+
+enum err scene_build_sky(struct render_scene *rs, const struct scene *scene)
+{
+    const struct scene_envmap *from = &scene->envmap;
+    struct environment *sky = &rs->lights.environment;
+    if (from->texture == SCENE_NONE)
+        return ERR_OK;
+    sky->present = true;
+    sky->factor = rgb_grey(from->scale);
+    sky_rotation(from->transform, sky->to_local);
+    const struct texture *texture = &rs->textures[from->texture];
+    if (texture->type == SCENE_TEXTURE_CONSTANT) {
+        sky->factor = rgb_scale(texture->color[0], from->scale);
+        return ERR_OK;
+    }
+    /* Its own copy: the poles are not each other's neighbours. */
+    struct texture *copy = arena_alloc(&rs->arena, 1, sizeof *copy);
+    if (!copy)
+        return ERR_NOMEM;
+    *copy = *texture;
+    copy->wrap[1] = SCENE_WRAP_CLAMP;
+    sky->texture = copy;
+    return tabulate(rs, sky);
+}
