@@ -76,7 +76,7 @@ static void put_error(const struct json *error, struct buf *out)
     if (heavy && heavy->type == JSON_BOOL && heavy->truth)
         buf_printf(out,
                    "           heavy tail: not to be trusted (effective size %.0f, under 32)\n",
-                   number(error, "effective_size"));
+                   floor(number(error, "effective_size")));
 }
 
 /* What ended a job that was not asked for a number of samples. */

@@ -99,20 +99,21 @@ const uint16_t *film_limits(const struct film *f);
 /* What the halves say about the picture's error (docs/ERROR.md has the formulas and what was
  * measured of them); all 0 and false when a pixel has no sample in one of the halves. relMSE as
  * in ARCHITECTURE.md, with (x - r)^2 replaced by its unbiased estimate from the halves. Pixels of
- * a 4 x 4 group may share paths, so the intervals come from the spread of the groups' sums
- * within each 16 x 16 square of the full picture; they do not depend on --tile. */
+ * a 4 x 4 group of the full picture may share paths, and the intervals allow for it; they do
+ * not depend on --tile. */
 struct film_error {
     bool known;
     double relmse, relmse_low, relmse_high; /* 95 % */
     double relmse_deviation;                /* standard deviation of relmse, as estimated */
     double mean, mean_low, mean_high;       /* of all pixels and channels, 95 % */
-    double effective;          /* groups that carry the error: (sum)^2 / sum of squares, each the
-                                * most that it may be */
+    double effective;          /* size: of so many independent terms, all alike, the sum would have
+                                * this deviation: (relmse / relmse_deviation)^2, >= 1 */
     uint32_t worst_x, worst_y; /* corner of the square with the largest mean error */
     double worst_relmse;       /* of that square */
 };
 
-/* Below this effective size a few spikes carry the error, and others may not have been seen. */
+/* Below this effective size a few pixels carry the error, and others like them may not have been
+ * seen: a heavy tail. */
 enum { FILM_EFFECTIVE_MIN = 32 };
 
 /* Reader. Unknown when memory cannot be had. */

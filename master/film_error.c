@@ -1,8 +1,12 @@
 /* What a film says of its own error: see film.h and docs/ERROR.md. */
 #include <math.h>
 
+#include "common/dmath.h"
 #include "common/mem.h"
 #include "master/film_impl.h"
+
+/* Two-sided 95 % of a normal distribution. */
+static const double Z_95 = 1.959964;
 
 enum {
     GROUP = 4, /* side of the groups whose pixels share paths */
@@ -16,8 +20,12 @@ static const double NOISY = 0.1;
 /* Noise curves 1 / level upwards: by once the variance where it is Gaussian and uncorrelated with
  * the pixel, by none where it comes in rare hits. Measured over eight scenes. */
 static const double CURVE = 0.15;
-/* A level is doubtful when what the darker half and the neighbours show is so many times less. */
-static const double DOUBT = 3;
+/* A level is doubtful when what the darker half and the neighbours show is so many times less; by
+ * how much the error then grows with that ratio's logarithm. */
+static const double DOUBT = 3, UNSEEN = 1.6;
+/* A noisy pixel under its neighbours' median is dark by chance: its level is put so far up to
+ * theirs, of the logarithm of at most so much. */
+static const double CHANCE = 0.6, CHANCE_MAX = 2;
 
 /* The film's values row by row: what the neighbours of a pixel say needs them so. */
 struct field {
@@ -25,7 +33,6 @@ struct field {
     float *value;           /* of each channel */
     float *product;         /* A B of each channel: on average the square of the true value */
     float *term;            /* of relMSE, mean over the channels */
-    float *most;            /* that the term may be */
     float *difference;      /* of the halves' means, its square on average the mean's variance */
 };
 
@@ -34,7 +41,6 @@ static void field_release(struct field *f)
     mem_free(f->value);
     mem_free(f->product);
     mem_free(f->term);
-    mem_free(f->most);
     mem_free(f->difference);
 }
 
@@ -45,9 +51,8 @@ static enum err field_init(struct field *f, const struct film *film)
     f->value = mem_alloc_array(pixels, FILM_CHANNELS * sizeof(float));
     f->product = mem_alloc_array(pixels, FILM_CHANNELS * sizeof(float));
     f->term = mem_alloc_array(pixels, sizeof(float));
-    f->most = mem_alloc_array(pixels, sizeof(float));
     f->difference = mem_alloc_array(pixels, sizeof(float));
-    if (f->value && f->product && f->term && f->most && f->difference)
+    if (f->value && f->product && f->term && f->difference)
         return ERR_OK;
     field_release(f);
     return ERR_NOMEM;
@@ -145,54 +150,62 @@ static double median_near(const struct field *f, uint64_t at, uint64_t channel)
     return (double)sorted[count / 2];
 }
 
-/* What stands for the square of a pixel's true value, and the least that it may be. */
-struct level {
-    double square, least;
-};
+static double over(double variance, double level)
+{
+    return level > 0 ? variance / level : 0;
+}
 
-/* A spike raises the pixel as well as its error, and so would hide behind itself: where the halves
- * differ much, the true value is rather what they, multiplied, say here and nearby, unless the
- * pixel is darker still. Near a bright thing that is too much for a dark pixel of which a few
- * samples saw the thing. Where the darker half and most neighbours show far less, nothing tells
- * how often that happens: the level is put in the middle, by ratio. */
-static struct level level_of(const struct judge *j, const struct sight *s, uint64_t c, double x,
-                             double variance)
+/* By how much a dark pixel that few samples saw bright has more error than its level says. Where
+ * all of a half's light came in one hit, nothing tells how rare such hits are. Were all
+ * chances alike (the edge of a light lies anywhere in a pixel), the mean over the levels from
+ * `low` to `high` would be a logarithm of their ratio; small chances are more frequent. */
+static double unseen(double low, double high)
+{
+    return low > 0 && high > DOUBT * low ? 1 + UNSEEN * dmath_log(high / low) : 1;
+}
+
+/* The level of a noisy pixel whose neighbours' median is `median`, over its own. */
+static double chance(double own, double median)
+{
+    if (!(own > 0 && median > own))
+        return 1;
+    double ratio = median / own;
+    return dmath_pow(ratio < CHANCE_MAX ? ratio : CHANCE_MAX, CHANCE);
+}
+
+/* A channel's term of relMSE. The square of the true value, the level, is not known. A spike raises
+ * the pixel as well as its error, and so would hide behind itself: where the halves differ much,
+ * the true value is rather what they, multiplied, say here and nearby, unless the pixel is darker
+ * still. Near a bright thing that is too much for a dark pixel of which a few samples saw the
+ * thing: what the darker half and most neighbours show is the least that it may be. */
+static double term_of(const struct judge *j, const struct sight *s, uint64_t c, double x,
+                      double variance)
 {
     double own = x * x + CURVE * variance, e = j->floor_m;
     if (!(variance > NOISY * x * x))
-        return (struct level){own, own};
+        return over(variance, own + e);
     double near = product_near(&j->field, s->at, c);
     double high = near < own ? near : own;
     double median = median_near(&j->field, s->at, c);
     double darker = s->a[c] < s->b[c] ? s->a[c] : s->b[c];
     darker = darker > median ? darker : median;
     double low = darker * darker, product = s->a[c] * s->b[c];
-    if (!(high + e > DOUBT * (low + e)))
-        return (struct level){high, high};
     low = low > product ? low : product;
     low = low < high ? low : high;
-    return (struct level){sqrt((low + e) * (high + e)) - e, low};
-}
-
-static double over(double variance, double level)
-{
-    return level > 0 ? variance / level : 0;
+    return over(variance, high + e) * unseen(low + e, high + e) /
+           chance(own + e, median * median + e);
 }
 
 static void note_term(void *ctx, const struct sight *s)
 {
     struct judge *j = ctx;
-    double n = s->na + s->nb, weight = s->na * s->nb / (n * n), term = 0, most = 0, difference = 0;
+    double n = s->na + s->nb, weight = s->na * s->nb / (n * n), term = 0, difference = 0;
     for (uint64_t c = 0; c < FILM_CHANNELS; c++) {
         double x = (s->na * s->a[c] + s->nb * s->b[c]) / n, apart = s->a[c] - s->b[c];
-        double variance = weight * apart * apart;
-        struct level level = level_of(j, s, c, x, variance);
-        term += over(variance, level.square + j->floor_m) / FILM_CHANNELS;
-        most += over(variance, level.least + j->floor_m) / FILM_CHANNELS;
+        term += term_of(j, s, c, x, weight * apart * apart) / FILM_CHANNELS;
         difference += apart / FILM_CHANNELS;
     }
     j->field.term[s->at] = (float)term;
-    j->field.most[s->at] = (float)most;
     j->field.difference[s->at] = (float)(sqrt(weight) * difference);
 }
 
@@ -212,48 +225,57 @@ static bool judge_film(const struct film *f, struct judge *j, double *mean)
     return true;
 }
 
-/* Sums over the groups of one square, and over the picture. */
+/* Sums over the pixels and groups of the picture. */
 struct sums {
-    double term, most_squares; /* of groups */
-    double variance;           /* of the sum of the terms */
-    double mean_variance;      /* of the sum of the values */
-    double worst;              /* mean term of a square */
+    double term, squares; /* of the terms, and of each one's square */
+    /* Of products of two pixels' terms in a group: of all pairs, and with a minus where the halves
+     * differ in opposite senses. */
+    double pairs, agreement;
+    double mean_variance, mean_fourth; /* of the sum of the values; and of fourth powers */
+    double worst;                      /* mean term of a square */
     uint32_t worst_x, worst_y;
-    uint64_t degrees; /* groups less squares */
 };
+
+/* Of one group. */
+struct group {
+    double term, squares, signed_term, difference;
+};
+
+static void add_groups(const struct group *groups, struct sums *sums)
+{
+    for (uint32_t i = 0; i < GROUPS; i++) {
+        const struct group *g = &groups[i];
+        double variance = g->difference * g->difference;
+        sums->term += g->term;
+        sums->squares += g->squares;
+        sums->pairs += g->term * g->term - g->squares;
+        sums->agreement += g->signed_term * g->signed_term - g->squares;
+        sums->mean_variance += variance;
+        sums->mean_fourth += variance * variance;
+    }
+}
 
 static void add_square(const struct film *f, const struct field *field, uint32_t sx, uint32_t sy,
                        struct sums *sums)
 {
     const struct job_crop *crop = &f->grid->crop;
-    double term[GROUPS] = {0}, most[GROUPS] = {0}, difference[GROUPS] = {0}, total = 0, spread = 0;
-    uint32_t pixels[GROUPS] = {0}, groups = 0, area = 0;
+    struct group groups[GROUPS] = {0};
+    double total = 0, area = 0;
     uint32_t x0 = sx > crop->x ? sx : crop->x, y0 = sy > crop->y ? sy : crop->y;
     for (uint32_t y = y0; y < sy + GRID_SQUARE && y < crop->y + crop->height; y++) {
         for (uint32_t x = x0; x < sx + GRID_SQUARE && x < crop->x + crop->width; x++) {
-            uint32_t g = (y - sy) / GROUP * (GRID_SQUARE / GROUP) + (x - sx) / GROUP;
+            struct group *g = &groups[(y - sy) / GROUP * (GRID_SQUARE / GROUP) + (x - sx) / GROUP];
             uint64_t at = (uint64_t)(y - crop->y) * field->width + (x - crop->x);
-            term[g] += (double)field->term[at];
-            most[g] += (double)field->most[at];
-            difference[g] += (double)field->difference[at];
-            pixels[g]++;
+            double term = (double)field->term[at], difference = (double)field->difference[at];
+            g->term += term;
+            g->squares += term * term;
+            g->signed_term += difference < 0 ? -term : term;
+            g->difference += difference;
+            total += term;
+            area++;
         }
     }
-    for (uint32_t g = 0; g < GROUPS; g++) {
-        groups += pixels[g] > 0;
-        area += pixels[g];
-        total += term[g];
-        sums->most_squares += most[g] * most[g];
-        sums->mean_variance += difference[g] * difference[g];
-    }
-    for (uint32_t g = 0; g < GROUPS; g++) {
-        double apart = pixels[g] ? term[g] - total * pixels[g] / area : 0;
-        spread += apart * apart;
-    }
-    /* One group knows nothing of its spread: as large as itself. */
-    sums->variance += groups > 1 ? spread * groups / (groups - 1) : total * total;
-    sums->degrees += groups - 1;
-    sums->term += total;
+    add_groups(groups, sums);
     if (total / area > sums->worst) {
         sums->worst = total / area;
         sums->worst_x = x0;
@@ -261,29 +283,52 @@ static void add_square(const struct film *f, const struct field *field, uint32_t
     }
 }
 
+/* Of what the terms of two pixels of a group are, multiplied, the share that is covariance. For
+ * Gaussian noise of correlation r it is 2 r^2 / (1 + 2 r^2), and signs agree with the chance
+ * 1/2 + asin(r) / pi: the signs tell how far the pixels share their paths. */
+static double shared_of(const struct sums *s)
+{
+    if (!(s->pairs > 0 && s->agreement > 0))
+        return 0;
+    double agreement = s->agreement < s->pairs ? s->agreement / s->pairs : 1;
+    double r = dmath_sinpi(agreement / 2), square = r * r;
+    return 2 * square / (1 + 2 * square);
+}
+
 /* Student's 97.5 % quantile (Abramowitz and Stegun 26.7.5, two terms); few groups know little. */
 static double student_quantile(double degrees)
 {
-    const double z = 1.959964, z3 = z * z * z, z5 = z3 * z * z;
+    const double z = Z_95, z3 = z * z * z, z5 = z3 * z * z;
     return z + (z3 + z) / (4 * degrees) + (5 * z5 + 16 * z3 + 3 * z) / (96 * degrees * degrees);
+}
+
+/* Half of the 95 % interval of the sum of the values. Degrees of freedom: Satterthwaite's, with the
+ * fourth power of a Gaussian, which is three times its variance's square. */
+static double mean_error_of(const struct sums *s)
+{
+    double degrees =
+        s->mean_fourth > 0 ? 3 * s->mean_variance * s->mean_variance / s->mean_fourth : 1;
+    return student_quantile(degrees > 1 ? degrees : 1) * sqrt(s->mean_variance);
 }
 
 static struct film_error error_of(const struct sums *s, double pixels, double mean)
 {
-    double quantile = student_quantile(s->degrees > 0 ? (double)s->degrees : 1);
-    double relmse = s->term / pixels, deviation = sqrt(s->variance) / pixels;
-    double mean_error = quantile * sqrt(s->mean_variance) / pixels;
-    double low = relmse - quantile * deviation;
+    /* The variance of a term is at most the mean of its square, and two thirds of that where noise
+     * is Gaussian. */
+    double variance = s->squares + shared_of(s) * s->pairs;
+    double relmse = s->term / pixels, deviation = sqrt(variance) / pixels;
+    double spread = relmse > 0 ? dmath_exp(Z_95 * deviation / relmse) : 1;
+    double mean_error = mean_error_of(s) / pixels;
     return (struct film_error){
         .known = isfinite(relmse) && isfinite(mean),
         .relmse = relmse,
-        .relmse_low = low > 0 ? low : 0,
-        .relmse_high = relmse + quantile * deviation,
+        .relmse_low = relmse / spread,
+        .relmse_high = relmse * spread,
         .relmse_deviation = deviation,
         .mean = mean,
         .mean_low = mean - mean_error,
         .mean_high = mean + mean_error,
-        .effective = s->most_squares > 0 ? s->term * s->term / s->most_squares : 0,
+        .effective = variance > 0 ? s->term * s->term / variance : 0,
         .worst_x = s->worst_x,
         .worst_y = s->worst_y,
         .worst_relmse = s->worst,

@@ -610,6 +610,63 @@ static void test_error_beside_bright(void **state)
     assert_true(calm.effective > 100 && hit.effective < FILM_EFFECTIVE_MIN);
 }
 
+/* A calm picture of 64 x 64 pixels: the first `noisy` rows have noise of 10 %, and `spikes` pixels
+ * a hit of 100 in one sample of half A. */
+static struct film_error spiky_error(uint32_t noisy, uint32_t spikes)
+{
+    enum { SIDE = 64, STEP = 9 };
+    struct rig r;
+    struct film *f;
+    struct film_error e;
+    uint64_t seed = 11;
+    rig_init(&r, SIDE, SIDE, 16, 1);
+    assert_int_equal(film_new(&r.grid, &r.blocks, &f), ERR_OK);
+    for (uint32_t i = 0; i < r.unit_count; i++) {
+        struct unit u = r.units[i];
+        uint64_t pixels = grid_pixels(&r.grid, u.cell_begin, u.cell_count), at = 0;
+        struct job_block block = job_block_at(&r.blocks, u.block);
+        float *rgb = mem_alloc_array(pixels, 3 * sizeof(float));
+        assert_non_null(rgb);
+        for (uint32_t k = 0; k < u.cell_count; k++) {
+            struct grid_rect rect = grid_cell(&r.grid, u.cell_begin + k);
+            for (uint32_t p = 0; p < rect.width * rect.height; p++, at++) {
+                uint32_t x = rect.x + p % rect.width, y = rect.y + p / rect.width;
+                float noise = 0.35f * ((float)(random_next(&seed) % 1048576) / 524288 - 1);
+                bool hit = x == y && x % STEP == 4 && x / STEP < spikes;
+                float sum = (float)block.count * (y < noisy ? 1 + noise : 1);
+                sum += hit && block.half == 0 && block.begin == 0 ? 1000 : 0;
+                for (uint64_t c = 0; c < 3; c++)
+                    rgb[c * pixels + at] = sum;
+            }
+        }
+        assert_int_equal(film_add(f, u, rgb), ERR_OK);
+    }
+    film_error_estimate(f, &e);
+    assert_true(e.known && e.relmse > 0);
+    film_free(f);
+    grid_release(&r.grid);
+    return e;
+}
+
+/* Noise in a small part of the picture is no heavy tail; a few spikes are, and never fewer than one
+ * pixel carries an error. The interval says the same: a factor of exp(1.96 / sqrt(size)). */
+static void test_effective_size(void **state)
+{
+    (void)state;
+    struct film_error all = spiky_error(64, 0), part = spiky_error(4, 0);
+    print_message("effective size %.1f of 4096, %.1f of 256\n", all.effective, part.effective);
+    assert_true(all.effective > 1000 && all.effective < 4096);
+    assert_true(part.effective > 64 && part.effective < 256);
+    for (uint32_t spikes = 1; spikes <= 6; spikes++) {
+        struct film_error e = spiky_error(64, spikes);
+        double factor = exp(1.96 / sqrt(e.effective));
+        print_message("%u spikes: %.2f\n", spikes, e.effective);
+        assert_true(e.effective >= 1 && e.effective < 1.5 * spikes + 0.5);
+        assert_true(fabs(e.relmse_high / e.relmse / factor - 1) < 1e-3);
+        assert_true(fabs(e.relmse / e.relmse_low / factor - 1) < 1e-3);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -625,6 +682,7 @@ int main(void)
         cmocka_unit_test(test_out_of_memory),
         cmocka_unit_test(test_error_estimate),
         cmocka_unit_test(test_error_beside_bright),
+        cmocka_unit_test(test_effective_size),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
