@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+#include "common/dmath.h"
+
 /* Of the mean share: less would trust a pilot that may have missed spikes. */
 static const double SHARE_MIN = 0.25;
 
@@ -83,25 +85,29 @@ bool allocate_limits(const struct grid *grid, const struct job_blocks *blocks, c
 }
 
 double allocate_predict(const struct grid *grid, const struct job_blocks *blocks,
-                        const double *terms, const uint16_t *limits)
+                        const double *terms, double power, const uint16_t *limits)
 {
     double sum = 0, pixels = 0, pilot = (double)job_pilot_samples(blocks);
+    double left[JOB_BLOCKS_MAX + 1]; /* of the pilot's error, by limit */
+    for (uint32_t limit = blocks->pilot + 1; limit <= blocks->count; limit++)
+        left[limit] = dmath_pow(pilot / (double)job_blocks_samples(blocks, limit), power);
     for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
-        sum += terms[cell] * pilot / (double)job_blocks_samples(blocks, limits[cell]);
+        sum += terms[cell] * left[limits[cell]];
         pixels += cell_pixels(grid, cell);
     }
     return sum / pixels;
 }
 
 double allocate_mean_for(const struct grid *grid, const struct job_blocks *blocks,
-                         const double *terms, const float *shares, double target, uint16_t *limits)
+                         const double *terms, const float *shares, double power, double target,
+                         uint16_t *limits)
 {
     enum { HALVINGS = 40 };
     double low = 1, high = 2 * (double)blocks->spp / SHARE_MIN;
     for (int i = 0; i < HALVINGS; i++) {
         double middle = sqrt(low * high);
         (void)allocate_limits(grid, blocks, shares, middle, 0, limits);
-        if (allocate_predict(grid, blocks, terms, limits) > target)
+        if (allocate_predict(grid, blocks, terms, power, limits) > target)
             low = middle;
         else
             high = middle;

@@ -25,13 +25,15 @@ void allocate_shares(const struct grid *grid, const double *terms, float *shares
 bool allocate_limits(const struct grid *grid, const struct job_blocks *blocks, const float *shares,
                      double mean_spp, double spp_min, uint16_t *limits);
 
-/* relMSE at those limits, were variance to fall as 1 / samples. */
+/* relMSE at those limits, none of them within the pilot, were variance to fall as 1 /
+ * samples^power. */
 double allocate_predict(const struct grid *grid, const struct job_blocks *blocks,
-                        const double *terms, const uint16_t *limits);
+                        const double *terms, double power, const uint16_t *limits);
 
 /* The mean samples that `target` takes by allocate_predict. `limits` is scratch. */
 double allocate_mean_for(const struct grid *grid, const struct job_blocks *blocks,
-                         const double *terms, const float *shares, double target, uint16_t *limits);
+                         const double *terms, const float *shares, double power, double target,
+                         uint16_t *limits);
 
 /* Work of the allocation over that of equal samples for the same error, <= 1 for exact shares. */
 double allocate_gain(const struct grid *grid, const double *terms, const float *shares);

@@ -162,13 +162,14 @@ def part_target(bench, truths, runs, spp, max_spp):
 
 
 # As master/job_plan.c has them.
-QUANTILE, FIRST_AIM, HEAVY_GROWTH, EFFECTIVE_MIN = 1.96, 2, 1.25, 32
+QUANTILE, FIRST_POWER, NEXT_POWER, HEAVY_GROWTH, EFFECTIVE_MIN = 1.8, 1.8, 1.3, 1.25, 8
 GROWTH_MIN, GROWTH_MAX, GROWTH_MARGIN = 1.06, 4, 1.02
 
 
 def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
-    """Samples and true error of a picture of noisy groups that stopped by the rule; None: it
-    made no claim within 20 times the samples. The relMSE is 1 / samples on average."""
+    """Samples and true error of a picture of so many groups, each of so many noisy pixels alike,
+    that stopped by the rule; None: it made no claim within 20 times the samples. The relMSE is
+    1 / samples on average."""
     variance = numpy.exp(unevenness * random.standard_normal(groups))
     deviation = numpy.sqrt(variance / variance.mean())[:, None]
 
@@ -176,17 +177,18 @@ def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
         return random.standard_normal((2, groups, freedom)) * deviation * math.sqrt(spp / 2)
 
     a, b = halves(16)
-    spp = ((a - b) ** 2).mean() / 16 / FIRST_AIM / aim
+    spp = 16 * (((a - b) ** 2).mean() / 256 / aim) ** (1 / FIRST_POWER)
     sums = halves(spp)
     while spp < 20 / aim:
         a, b = sums / (spp / 2)
-        terms = ((a - b) ** 2 / 4).mean(axis=1)
-        scatter = terms.std(ddof=1) / math.sqrt(groups)
-        growth = (terms.mean() + QUANTILE * math.sqrt(2) * scatter) / aim
-        heavy = terms.sum() ** 2 / (terms ** 2).sum() < EFFECTIVE_MIN
-        if growth <= 1 and not heavy:
+        terms = (a - b) ** 2 / 4
+        effective = terms.sum() ** 2 / (terms ** 2).sum()
+        upper = terms.mean() * math.exp(QUANTILE * math.sqrt(2 / effective))
+        heavy = effective < EFFECTIVE_MIN
+        if upper <= aim and not heavy:
             return spp, (((a + b) / 2) ** 2).mean()
-        growth = max(GROWTH_MARGIN * growth, HEAVY_GROWTH if heavy else GROWTH_MIN)
+        growth = (GROWTH_MARGIN * upper / aim) ** (1 / NEXT_POWER)
+        growth = max(growth, HEAVY_GROWTH if heavy else GROWTH_MIN)
         growth = min(growth, GROWTH_MAX)
         sums = sums + halves((growth - 1) * spp)
         spp *= growth
@@ -195,8 +197,8 @@ def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
 
 def part_rule(trials):
     random, rows = numpy.random.default_rng(1), []
-    for groups, freedom, unevenness in ((96, 4, 0.7), (96, 12, 0.7), (384, 4, 1), (1536, 4, 1),
-                                        (1536, 4, 1.6), (6144, 4, 1.6)):
+    for groups, freedom, unevenness in ((96, 4, 0.7), (96, 12, 0.7), (96, 4, 2), (384, 4, 1),
+                                        (384, 4, 2), (1536, 4, 1), (1536, 4, 1.6)):
         made = [c for c in (simulated_claim(random, groups, freedom, unevenness)
                             for _ in range(trials)) if c]
         row = {"groups": groups, "freedom": freedom, "unevenness": unevenness, "trials": trials,

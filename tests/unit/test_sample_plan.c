@@ -165,15 +165,22 @@ static void test_allocation(void **state)
     }
     assert_true(allocate_gain(&grid, terms, shares) < 0.78 &&
                 allocate_gain(&grid, terms, shares) > 0.73); /* exact: 0.735 */
-    double mean = allocate_mean_for(&grid, &blocks, terms, shares, 1e-3, limits);
+    double mean = allocate_mean_for(&grid, &blocks, terms, shares, 1, 1e-3, limits);
     assert_true(allocate_limits(&grid, &blocks, shares, mean, 0, limits));
-    double predicted = allocate_predict(&grid, &blocks, terms, limits);
+    double predicted = allocate_predict(&grid, &blocks, terms, 1, limits);
     assert_true(predicted <= 1e-3 && predicted > 0.8e-3);
     double work = 0;
     for (uint32_t i = 0; i < grid.cell_count; i++)
         work += (double)job_blocks_samples(&blocks, limits[i]) / grid.cell_count;
     double perfect = (0.5 * (0.4 + 0.1)) * (0.5 * (0.4 + 0.1)) * 16 / 1e-3;
     assert_true(work < 1.15 * perfect && work > 0.95 * perfect);
+    /* Where error falls with the square of the samples, the ratio to the pilot is the root. */
+    double few = allocate_mean_for(&grid, &blocks, terms, shares, 2, 1e-3, limits);
+    double pilot = (double)job_pilot_samples(&blocks);
+    assert_true(allocate_limits(&grid, &blocks, shares, few, 0, limits));
+    predicted = allocate_predict(&grid, &blocks, terms, 2, limits);
+    assert_true(predicted <= 1e-3 && predicted > 0.6e-3);
+    assert_true(few > pilot && few < 1.2 * sqrt(mean * pilot));
     assert_false(allocate_limits(&grid, &blocks, shares, 1e9, 0, limits)); /* all at the end */
     grid_release(&grid);
 }
