@@ -268,6 +268,25 @@ static double from_bits(enum scalar type, uint64_t bits)
     }
 }
 
+/* 1, 2, 4 or 8 bytes, the first the lowest; each a single load. */
+static uint64_t take_bits(const char *at, size_t bytes)
+{
+    uint64_t bits = 0;
+    switch (bytes) {
+    case 1:
+        return (unsigned char)*at;
+    case 2:
+        memcpy(&bits, at, 2);
+        return bits;
+    case 4:
+        memcpy(&bits, at, 4);
+        return bits;
+    default:
+        memcpy(&bits, at, 8);
+        return bits;
+    }
+}
+
 static bool take_value(struct reader *r, enum scalar type, double *out)
 {
     if (r->form == ASCII)
@@ -275,11 +294,9 @@ static bool take_value(struct reader *r, enum scalar type, double *out)
     size_t bytes = scalar_bytes[type];
     if ((size_t)(r->end - r->at) < bytes)
         return false;
-    uint64_t bits = 0;
-    for (size_t i = 0; i < bytes; i++) {
-        size_t from = r->form == BIG ? i : bytes - 1 - i;
-        bits = bits << 8 | (unsigned char)r->at[from];
-    }
+    uint64_t bits = take_bits(r->at, bytes);
+    if (r->form == BIG)
+        bits = __builtin_bswap64(bits) >> (64 - 8 * bytes);
     r->at += bytes;
     *out = from_bits(type, bits);
     return true;
@@ -428,6 +445,8 @@ static enum err add_polygon(struct reader *r)
         r->degenerate_count++;
         return ERR_OK;
     }
+    if (r->list_count == 3 && !r->has_wedges) /* nothing to split */
+        return add_triangle(r, r->list[0], r->list[1], r->list[2]);
     if (!polygon_room(r))
         return ERR_NOMEM;
     for (size_t i = 0; i < r->list_count; i++)
@@ -533,10 +552,42 @@ static enum err read_list(struct reader *r, const struct element *e, uint64_t in
     return ERR_OK;
 }
 
+/* True for the element that large files consist of: little-endian faces of nothing but a list of
+ * corners, counted in a byte, numbered in four. */
+static bool is_plain_faces(const struct reader *r, const struct element *e)
+{
+    const struct property *p = &e->properties[0];
+    return r->form == LITTLE && !r->skim_faces && !r->has_wedges && e->property_count == 1 &&
+           p->indices && (p->count_type == INT8 || p->count_type == UINT8) &&
+           (p->type == INT32 || p->type == UINT32);
+}
+
+/* Takes the triangles from face *index on, up to the first face that is something else or has a
+ * corner that is not there: read_list says what about it. */
+static enum err take_triangles(struct reader *r, const struct element *e, uint64_t *index)
+{
+    enum { FACE_BYTES = 1 + 3 * sizeof(uint32_t) };
+    for (; *index < e->count && r->end - r->at >= FACE_BYTES && *r->at == 3; ++*index) {
+        uint32_t v[3];
+        memcpy(v, r->at + 1, sizeof v);
+        if (v[0] >= r->mesh.vertex_count || v[1] >= r->mesh.vertex_count ||
+            v[2] >= r->mesh.vertex_count)
+            return ERR_OK;
+        TL_TRY(add_triangle(r, v[0], v[1], v[2]));
+        r->at += FACE_BYTES;
+    }
+    return ERR_OK;
+}
+
 static enum err read_other(struct reader *r, const struct element *e)
 {
     double value;
+    bool plain = is_plain_faces(r, e);
     for (uint64_t i = 0; e->property_count && i < e->count; i++) {
+        if (plain)
+            TL_TRY(take_triangles(r, e, &i));
+        if (i == e->count)
+            break;
         size_t begin = r->triangle_count;
         r->list_count = r->wedge_count = 0;
         for (size_t j = 0; j < e->property_count; j++) {

@@ -333,6 +333,48 @@ static void ply_gives_the_same_in_every_form(void **state)
     }
 }
 
+/* Runs of triangles, which are taken together, among faces that are something else. */
+static void ply_triangles_and_others_take_turns(void **state)
+{
+    (void)state;
+    static const unsigned char corners[] = {3, 3, 4, 3, 2, 3, 3, 5};
+    static const double points[18] = {0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0, 2, 2, 1, 3, 2, 1};
+    enum { FACES = sizeof corners, TRIANGLES = 5 + 2 + 3 };
+    for (int broken = -1; broken < FACES; broken++) {
+        struct buf b;
+        struct loaded l;
+        buf_init(&b);
+        buf_printf(&b,
+                   "ply\nformat binary_little_endian 1.0\nelement vertex 6\nproperty double x\n"
+                   "property double y\nproperty double z\nelement face %d\n"
+                   "property list uchar int vertex_indices\nend_header\n",
+                   FACES);
+        buf_put(&b, points, sizeof points);
+        for (int i = 0; i < FACES; i++) {
+            buf_put_u8(&b, corners[i]);
+            for (uint32_t k = 0; k < corners[i]; k++)
+                buf_put_u32(&b, i == broken && k == 1 ? 6 : (k + (uint32_t)i % 2) % 6);
+        }
+        load_ply(&l, b.data, b.bytes);
+        if (broken < 0) {
+            assert_int_equal(l.e, ERR_OK);
+            assert_int_equal(l.mesh.triangle_count, TRIANGLES);
+            static const uint32_t first[] = {0, 1, 2, 1, 2, 3};
+            assert_memory_equal(l.mesh.indices, first, sizeof first);
+        } else {
+            assert_int_equal(l.e, ERR_INPUT);
+            assert_true(problem_find(&l.problems, "index-out-of-range", "m.ply"));
+        }
+        unload(&l);
+        for (size_t cut = b.bytes - 60; broken < 0 && cut < b.bytes; cut++) {
+            load_ply(&l, b.data, cut);
+            assert_int_equal(l.e, ERR_INPUT);
+            unload(&l);
+        }
+        buf_release(&b);
+    }
+}
+
 /* Coordinates of corners: a vertex is split where they differ, shared where they agree, dropped
  * where no face has it. A polygon's go with its triangles; a face with too few gets zeros. */
 static void ply_corners_have_coordinates(void **state)
@@ -491,6 +533,7 @@ int main(void)
         cmocka_unit_test(concave_polygons_are_cut_along_their_shape),
         cmocka_unit_test(hostile_polygons_end),
         cmocka_unit_test(ply_gives_the_same_in_every_form),
+        cmocka_unit_test(ply_triangles_and_others_take_turns),
         cmocka_unit_test(ply_corners_have_coordinates),
         cmocka_unit_test(ply_problems_are_named),
         cmocka_unit_test(ply_faces_may_come_first),
