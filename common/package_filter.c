@@ -5,10 +5,9 @@
 /* --- Numbers ------------------------------------------------------------- */
 
 /* Small differences of either sign to small numbers, and back. */
-static uint64_t fold(uint64_t d, unsigned bits)
+static uint64_t fold(uint64_t d)
 {
-    uint64_t sign = d >> (bits - 1) & 1;
-    return (d << 1) ^ (0 - sign);
+    return (d << 1) ^ (0 - (d >> 63));
 }
 
 static uint64_t unfold(uint64_t z)
@@ -16,62 +15,151 @@ static uint64_t unfold(uint64_t z)
     return (z >> 1) ^ (0 - (z & 1));
 }
 
-void filter_words_put(const void *rows, size_t count, size_t columns, size_t word_bytes,
-                      unsigned char *out)
+/* Words go between rows and planes by way of a block of them, so that what is done to all alike is
+ * a loop over neighbours. */
+enum { BLOCK = 256 };
+
+/* Words `first`, ... of `some` to their planes of `count` bytes each. */
+static void split_u32(const uint32_t *words, size_t first, size_t some, size_t count,
+                      unsigned char *planes)
 {
-    for (size_t c = 0; c < columns; c++) {
-        const unsigned char *at = (const unsigned char *)rows + c * word_bytes;
-        uint64_t before = 0;
-        for (size_t i = 0; i < count; i++, at += columns * word_bytes) {
-            uint64_t word = 0;
-            memcpy(&word, at, word_bytes);
-            uint64_t folded = fold(word - before, (unsigned)word_bytes * 8);
-            before = word;
-            for (size_t k = 0; k < word_bytes; k++)
-                out[k * count + i] = (unsigned char)(folded >> 8 * k);
-        }
-        out += count * word_bytes;
+    for (size_t k = 0; k < sizeof *words; k++) {
+        unsigned char *to = planes + k * count + first;
+        for (size_t i = 0; i < some; i++)
+            to[i] = (unsigned char)(words[i] >> 8 * k);
     }
 }
 
-/* The word at place i of planes of `count` bytes. */
-static uint32_t planes_u32(const unsigned char *planes, size_t count, size_t i)
+static void join_u32(const unsigned char *planes, size_t first, size_t some, size_t count,
+                     uint32_t *words)
 {
-    return planes[i] | (uint32_t)planes[count + i] << 8 | (uint32_t)planes[2 * count + i] << 16 |
-           (uint32_t)planes[3 * count + i] << 24;
+    const unsigned char *a = planes + first, *b = a + count, *c = b + count, *d = c + count;
+    for (size_t i = 0; i < some; i++)
+        words[i] = a[i] | (uint32_t)b[i] << 8 | (uint32_t)c[i] << 16 | (uint32_t)d[i] << 24;
 }
 
-static uint64_t planes_u64(const unsigned char *planes, size_t count, size_t i)
+static size_t block_from(size_t first, size_t count)
 {
-    return planes_u32(planes, count, i) | (uint64_t)planes_u32(planes + 4 * count, count, i) << 32;
+    return count - first < BLOCK ? count - first : BLOCK;
+}
+
+static uint32_t fold32(uint32_t d)
+{
+    return (d << 1) ^ (0 - (d >> 31));
+}
+
+static uint32_t unfold32(uint32_t z)
+{
+    return (z >> 1) ^ (0 - (z & 1));
+}
+
+static void put_column_u32(const unsigned char *at, size_t count, size_t row_bytes,
+                           unsigned char *out)
+{
+    uint32_t block[BLOCK], before = 0;
+    for (size_t first = 0; first < count; first += BLOCK) {
+        size_t some = block_from(first, count);
+        for (size_t i = 0; i < some; i++, at += row_bytes) {
+            uint32_t word;
+            memcpy(&word, at, sizeof word);
+            block[i] = fold32(word - before);
+            before = word;
+        }
+        split_u32(block, first, some, count, out);
+    }
+}
+
+static void put_column_u64(const unsigned char *at, size_t count, size_t row_bytes,
+                           unsigned char *out)
+{
+    uint32_t low[BLOCK], high[BLOCK];
+    uint64_t before = 0;
+    for (size_t first = 0; first < count; first += BLOCK) {
+        size_t some = block_from(first, count);
+        for (size_t i = 0; i < some; i++, at += row_bytes) {
+            uint64_t word;
+            memcpy(&word, at, sizeof word);
+            uint64_t folded = fold(word - before);
+            before = word;
+            low[i] = (uint32_t)folded;
+            high[i] = (uint32_t)(folded >> 32);
+        }
+        split_u32(low, first, some, count, out);
+        split_u32(high, first, some, count, out + 4 * count);
+    }
+}
+
+void filter_words_put(const void *rows, size_t count, size_t columns, size_t word_bytes,
+                      unsigned char *out)
+{
+    TL_ASSERT(word_bytes == 4 || word_bytes == 8);
+    for (size_t c = 0; c < columns; c++, out += count * word_bytes) {
+        const unsigned char *at = (const unsigned char *)rows + c * word_bytes;
+        if (word_bytes == 4)
+            put_column_u32(at, count, columns * word_bytes, out);
+        else
+            put_column_u64(at, count, columns * word_bytes, out);
+    }
+}
+
+static void get_column_u32(const unsigned char *in, size_t count, size_t row_bytes,
+                           unsigned char *at)
+{
+    uint32_t block[BLOCK], word = 0;
+    for (size_t first = 0; first < count; first += BLOCK) {
+        size_t some = block_from(first, count);
+        join_u32(in, first, some, count, block);
+        for (size_t i = 0; i < some; i++, at += row_bytes) {
+            word += unfold32(block[i]);
+            memcpy(at, &word, sizeof word);
+        }
+    }
+}
+
+static void get_column_u64(const unsigned char *in, size_t count, size_t row_bytes,
+                           unsigned char *at)
+{
+    uint32_t low[BLOCK], high[BLOCK];
+    uint64_t word = 0;
+    for (size_t first = 0; first < count; first += BLOCK) {
+        size_t some = block_from(first, count);
+        join_u32(in, first, some, count, low);
+        join_u32(in + 4 * count, first, some, count, high);
+        for (size_t i = 0; i < some; i++, at += row_bytes) {
+            word += unfold(low[i] | (uint64_t)high[i] << 32);
+            memcpy(at, &word, sizeof word);
+        }
+    }
 }
 
 void filter_words_get(const unsigned char *in, size_t count, size_t columns, size_t word_bytes,
                       void *rows)
 {
-    for (size_t c = 0; c < columns; c++) {
+    TL_ASSERT(word_bytes == 4 || word_bytes == 8);
+    for (size_t c = 0; c < columns; c++, in += count * word_bytes) {
         unsigned char *at = (unsigned char *)rows + c * word_bytes;
-        uint64_t word = 0;
-        for (size_t i = 0; i < count; i++, at += columns * word_bytes) {
-            word += word_bytes == 4 ? unfold(planes_u32(in, count, i))
-                                    : unfold(planes_u64(in, count, i));
-            memcpy(at, &word, word_bytes);
-        }
-        in += count * word_bytes;
+        if (word_bytes == 4)
+            get_column_u32(in, count, columns * word_bytes, at);
+        else
+            get_column_u64(in, count, columns * word_bytes, at);
     }
 }
 
 void filter_floats_get(const unsigned char *in, size_t count, size_t columns, double *rows)
 {
-    for (size_t c = 0; c < columns; c++) {
-        uint32_t word = 0;
-        for (size_t i = 0; i < count; i++) {
-            float f;
-            word += (uint32_t)unfold(planes_u32(in, count, i));
-            memcpy(&f, &word, sizeof f);
-            rows[i * columns + c] = (double)f;
+    for (size_t c = 0; c < columns; c++, in += count * sizeof(float)) {
+        uint32_t block[BLOCK], word = 0;
+        double *at = rows + c;
+        for (size_t first = 0; first < count; first += BLOCK) {
+            size_t some = block_from(first, count);
+            join_u32(in, first, some, count, block);
+            for (size_t i = 0; i < some; i++, at += columns) {
+                float f;
+                word += unfold32(block[i]);
+                memcpy(&f, &word, sizeof f);
+                *at = (double)f;
+            }
         }
-        in += count * sizeof(float);
     }
 }
 
@@ -81,23 +169,29 @@ void filter_floats_get(const unsigned char *in, size_t count, size_t columns, do
  * triangles just before is small. */
 void filter_indices_put(const uint32_t *indices, size_t count, unsigned char *out)
 {
-    uint32_t next = 0;
-    for (size_t i = 0; i < count; i++) {
-        uint32_t code = next - indices[i];
-        if (indices[i] >= next)
-            next = indices[i] + 1;
-        for (size_t k = 0; k < 4; k++)
-            out[k * count + i] = (unsigned char)(code >> 8 * k);
+    uint32_t block[BLOCK], next = 0;
+    for (size_t first = 0; first < count; first += BLOCK) {
+        size_t some = block_from(first, count);
+        for (size_t i = 0; i < some; i++) {
+            uint32_t index = indices[first + i];
+            block[i] = next - index;
+            next = index >= next ? index + 1 : next;
+        }
+        split_u32(block, first, some, count, out);
     }
 }
 
 void filter_indices_get(const unsigned char *in, size_t count, uint32_t *indices)
 {
     uint32_t next = 0;
-    for (size_t i = 0; i < count; i++) {
-        indices[i] = next - planes_u32(in, count, i);
-        if (indices[i] >= next)
-            next = indices[i] + 1;
+    for (size_t first = 0; first < count; first += BLOCK) {
+        size_t some = block_from(first, count);
+        join_u32(in, first, some, count, indices + first);
+        for (size_t i = 0; i < some; i++) {
+            uint32_t index = next - indices[first + i];
+            indices[first + i] = index;
+            next = index >= next ? index + 1 : next;
+        }
     }
 }
 
