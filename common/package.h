@@ -134,11 +134,15 @@ TL_NODISCARD enum err chunk_compress(const void *data, size_t bytes, struct buf 
 
 /* Appends the plain bytes of one frame to `out`, which must come to exactly `bytes_expected`
  * (or any size up to `bytes_max` with chunk_decompress_any) and hash to `name`. Memory grows with
- * what really comes out, not with what the frame claims. ERR_CORRUPT, ERR_LIMIT, ERR_NOMEM; then
- * `out` is as it was. */
+ * what really comes out; taken at once for what the frame claims are at most 64 times its bytes.
+ * ERR_CORRUPT, ERR_LIMIT, ERR_NOMEM; then `out` is as it was. */
 TL_NODISCARD enum err chunk_decompress(const void *frame, size_t frame_bytes, const digest *name,
                                        uint64_t bytes_expected, struct buf *out);
 TL_NODISCARD enum err chunk_decompress_any(const void *frame, size_t frame_bytes,
                                            const digest *name, uint64_t bytes_max, struct buf *out);
+
+/* The same judgement without the plain bytes: their number in *bytes. */
+TL_NODISCARD enum err chunk_check(const void *frame, size_t frame_bytes, const digest *name,
+                                  uint64_t bytes_max, uint64_t *bytes);
 
 #endif

@@ -311,6 +311,55 @@ static void chunks_survive_zstd_and_nothing_else_does(void **state)
     mem_free(data);
 }
 
+/* With and without the plain bytes, the same judgement. */
+static enum err judge(const void *frame, size_t frame_bytes, const digest *name, uint64_t bytes_max)
+{
+    struct buf out;
+    uint64_t bytes = 0;
+    buf_init(&out);
+    enum err e = chunk_decompress_any(frame, frame_bytes, name, bytes_max, &out);
+    assert_int_equal(chunk_check(frame, frame_bytes, name, bytes_max, &bytes), e);
+    assert_int_equal(bytes, e == ERR_OK ? out.bytes : 0);
+    buf_release(&out);
+    return e;
+}
+
+static void frames_are_judged_without_their_bytes(void **state)
+{
+    (void)state;
+    enum { BYTES = 700000, RUN = 100 };
+    unsigned char *data = mem_alloc(BYTES);
+    struct buf frame;
+    assert_non_null(data);
+    for (size_t i = 0; i < BYTES; i++)
+        data[i] = (unsigned char)(i * i >> 9);
+    digest name = digest_of(data, BYTES), wrong = digest_of(data, BYTES - 1);
+    buf_init(&frame);
+    assert_int_equal(chunk_compress(data, BYTES, &frame), ERR_OK);
+    assert_int_equal(judge(frame.data, frame.bytes, &name, BYTES), ERR_OK);
+    assert_int_equal(judge(frame.data, frame.bytes, &name, BYTES - 1), ERR_LIMIT);
+    assert_int_equal(judge(frame.data, frame.bytes, &wrong, BYTES), ERR_CORRUPT);
+    for (size_t cut = 0; cut < frame.bytes; cut += 1 + frame.bytes / 50)
+        assert_int_equal(judge(frame.data, cut, &name, BYTES), ERR_CORRUPT);
+    for (size_t at = 0; at < frame.bytes; at += 1 + frame.bytes / 50) {
+        frame.data[at] ^= 0x10;
+        assert_int_not_equal(judge(frame.data, frame.bytes, &name, BYTES), ERR_OK);
+        frame.data[at] ^= 0x10;
+    }
+    buf_put_u8(&frame, 0);
+    assert_int_equal(judge(frame.data, frame.bytes, &name, BYTES), ERR_CORRUPT);
+
+    /* A run of one byte, in a frame that asks for a window of 8 MiB, then for one of 128. */
+    unsigned char run[] = {0x28, 0xb5, 0x2f, 0xfd, 0x80, 13 << 3, RUN, 0, 0, 0, 0x23, 0x03, 0, 'x'};
+    memset(data, 'x', RUN);
+    name = digest_of(data, RUN);
+    assert_int_equal(judge(run, sizeof run, &name, BYTES), ERR_OK);
+    run[5] = 17 << 3;
+    assert_int_equal(judge(run, sizeof run, &name, BYTES), ERR_CORRUPT);
+    buf_release(&frame);
+    mem_free(data);
+}
+
 static void singular_transforms_are_known_at_any_scale(void **state)
 {
     (void)state;
@@ -338,6 +387,7 @@ int main(void)
         cmocka_unit_test(hostile_bytes_never_pass_unseen),
         cmocka_unit_test(memory_runs_out_cleanly),
         cmocka_unit_test(chunks_survive_zstd_and_nothing_else_does),
+        cmocka_unit_test(frames_are_judged_without_their_bytes),
         cmocka_unit_test(singular_transforms_are_known_at_any_scale),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
