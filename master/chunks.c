@@ -246,12 +246,8 @@ static enum err write_aside(struct work *w)
 static void put_run(uv_work_t *request)
 {
     struct work *w = request->data;
-    struct buf raw;
-    buf_init(&raw);
     w->result =
-        chunk_decompress_any(w->frame.data, w->frame.bytes, &w->name, CHUNKS_RAW_BYTES_MAX, &raw);
-    w->raw_bytes = raw.bytes;
-    buf_release(&raw);
+        chunk_check(w->frame.data, w->frame.bytes, &w->name, CHUNKS_RAW_BYTES_MAX, &w->raw_bytes);
     char *folder = file_folder(w->path);
     if (w->result == ERR_OK)
         w->result = folder ? make_folder(folder) : ERR_NOMEM;
@@ -260,12 +256,51 @@ static void put_run(uv_work_t *request)
     mem_free(folder);
 }
 
+/* Drops what was not used for longest until the cache fits. */
+static void trim_cache(struct chunk_store *s, const struct chunk *keep)
+{
+    while (s->cached_bytes > CHUNKS_CACHE_BYTES) {
+        struct chunk *oldest = NULL, *c, *next;
+        HASH_ITER(hh, s->chunks, c, next)
+        {
+            if (c->frame && c != keep && (!oldest || c->used_at < oldest->used_at))
+                oldest = c;
+        }
+        if (!oldest)
+            return;
+        s->cached_bytes -= blob_bytes(oldest->frame);
+        blob_unref(oldest->frame);
+        oldest->frame = NULL;
+    }
+}
+
+/* The frame that was just written stays in memory: workers will ask for it next. */
+static void cache_put(struct work *w)
+{
+    struct chunk_store *s = w->store;
+    struct chunk *c = find(s, &w->name);
+    if (!c || c->frame || c->waiters)
+        return;
+    unsigned char *fitting = mem_realloc_array(w->frame.data, w->frame.bytes, 1);
+    w->frame.data = fitting ? fitting : w->frame.data;
+    c->frame = blob_new(w->frame.data, w->frame.bytes);
+    if (!c->frame)
+        return;
+    buf_init(&w->frame); /* the blob's now */
+    c->raw_bytes = w->raw_bytes;
+    c->used_at = ++s->clock;
+    s->cached_bytes += blob_bytes(c->frame);
+    trim_cache(s, c);
+}
+
 static void put_after(uv_work_t *request, int status)
 {
     struct work *w = request->data;
     enum err e = status == 0 ? w->result : ERR_CANCELLED;
     if (e == ERR_OK)
         e = note_chunk(w->store, &w->name);
+    if (e == ERR_OK)
+        cache_put(w);
     w->put_done(w->ctx, e);
     work_free(w);
 }
@@ -292,24 +327,6 @@ enum err chunks_put(struct chunk_store *s, const digest *name, struct buf *frame
 }
 
 /* --- Getting ------------------------------------------------------------ */
-
-/* Drops what was not used for longest until the cache fits. */
-static void trim_cache(struct chunk_store *s, const struct chunk *keep)
-{
-    while (s->cached_bytes > CHUNKS_CACHE_BYTES) {
-        struct chunk *oldest = NULL, *c, *next;
-        HASH_ITER(hh, s->chunks, c, next)
-        {
-            if (c->frame && c != keep && (!oldest || c->used_at < oldest->used_at))
-                oldest = c;
-        }
-        if (!oldest)
-            return;
-        s->cached_bytes -= blob_bytes(oldest->frame);
-        blob_unref(oldest->frame);
-        oldest->frame = NULL;
-    }
-}
 
 /* The stored frame of a chunk file; its size unpacked in *raw_bytes. */
 static enum err read_chunk(const char *path, unsigned char **frame, size_t *bytes,
