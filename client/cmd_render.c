@@ -20,8 +20,7 @@
 #include "client/signals.h"
 
 enum {
-    GRACE_MS = 1000, /* for children at the end */
-    INTERRUPT_GRACE_MS = 2000,
+    INTERRUPT_GRACE_MS = 2000, /* for children that have results on their way */
     HANDSHAKE_S = 20,
     PATIENCE_S = 20,      /* for a master that is being started again */
     BYTES_PER_PIXEL = 12, /* three floats; compression may save some, noise hardly */
@@ -387,10 +386,9 @@ int command_render(struct cli *cli)
     status = run(&r);
     if (status == EXIT_INTERRUPTED)
         stop_interrupted(&r);
-    if (r.farm_runs && status != EXIT_INTERRUPTED) {
-        private_farm_ask_end(&r.farm);
-        private_farm_end(&r.farm, GRACE_MS);
-    }
+    /* All that is wanted of it is here: it is not asked to put its things in order. */
+    if (r.farm_runs && status != EXIT_INTERRUPTED)
+        private_farm_end(&r.farm, 0);
     if (r.loading)
         (void)pthread_join(r.loader, NULL);
     farm_release(&r.api);

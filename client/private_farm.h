@@ -60,7 +60,8 @@ TL_NODISCARD enum err private_farm_reap(struct private_farm *f, uint32_t *restar
 /* Asks all children to end; does not wait. */
 void private_farm_ask_end(struct private_farm *f);
 
-/* Waits up to grace_ms, kills what is left, removes the folder, releases. */
+/* Waits up to grace_ms for children that were asked to end, kills what is left, removes the folder,
+ * releases. */
 void private_farm_end(struct private_farm *f, int grace_ms);
 
 #endif

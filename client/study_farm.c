@@ -12,7 +12,7 @@
 #include "client/signals.h"
 #include "common/mem.h"
 
-enum { GRACE_MS = 1000, HANDSHAKE_S = 20, PATIENCE_S = 20 };
+enum { HANDSHAKE_S = 20, PATIENCE_S = 20 };
 
 static int farm_failed(const struct study_farm *f)
 {
@@ -76,10 +76,8 @@ int study_farm_open(struct study_farm *f, struct cli *cli, struct progress *prog
 
 void study_farm_close(struct study_farm *f)
 {
-    if (f->own_runs) {
-        private_farm_ask_end(&f->own);
-        private_farm_end(&f->own, GRACE_MS);
-    }
+    if (f->own_runs)
+        private_farm_end(&f->own, 0);
     farm_release(&f->api);
     load_release(&f->load);
     f->own_runs = false;
