@@ -52,7 +52,7 @@ static void put_usage(enum cli_command_id id, struct buf *out)
 {
     const struct cli_command *c = &cli_commands[id];
     buf_printf(out, "usage: tilery %s %s\n%s", c->name, c->arguments,
-               c->examples ? c->examples : "");
+               cli_examples[id] ? cli_examples[id] : "");
 }
 
 /* "--spp N", with the machine's default where it has one. */

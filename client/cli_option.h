@@ -49,10 +49,12 @@ enum cli_command_id {
 struct cli_command {
     const char *name, *section, *arguments, *summary;
     int argument_min, argument_max;
-    const char *examples; /* lines for the help of this command, or NULL */
 };
 
 extern const struct cli_command cli_commands[CLI_COMMAND_COUNT];
+
+/* Lines for the help of a command, or NULL. */
+extern const char *const cli_examples[CLI_COMMAND_COUNT];
 
 enum cli_kind {
     CLI_FLAG,

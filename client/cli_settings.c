@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "client/cli_help.h"
+#include "client/human.h"
 #include "common/file_io.h"
 #include "common/mem.h"
 
@@ -186,20 +188,36 @@ bool cli_settings_load(struct cli *cli, struct diag_list *problems)
     return problems->error_count == before;
 }
 
+/* What holds where nobody said anything. */
+static void default_text(enum cli_option_id id, char out[HUMAN_BYTES])
+{
+    uint32_t workers = cli_default_workers();
+    if (id == CLI_WORKER_COUNT || id == CLI_THREADS)
+        (void)snprintf(out, HUMAN_BYTES, "%u",
+                       id == CLI_THREADS ? cli_default_threads(workers) : workers);
+    else
+        (void)snprintf(out, HUMAN_BYTES, "%s",
+                       cli_options[id].kind == CLI_CHOICE ? cli_options[id].choices[0]
+                       : cli_options[id].kind == CLI_FLAG ? "no"
+                                                          : "-");
+}
+
 void cli_settings_print(const struct cli *cli, struct buf *out)
 {
+    buf_printf(out, "%-11s %-28s %-18s %s\n", "SETTING", "VALUE", "VARIABLE", "FROM");
     for (int i = 0; i < CLI_OPTION_COUNT; i++) {
-        char name[VARIABLE_BYTES];
+        char name[VARIABLE_BYTES], preset[HUMAN_BYTES];
         if (!cli_options[i].setting)
             continue;
+        default_text((enum cli_option_id)i, preset);
         variable_name(&cli_options[i], name);
         const char *value = cli->line.values[i];
         buf_printf(out, "%-11s %-28s %-18s %s\n", cli_options[i].name,
-                   value ? cli_safe(value) : "-", name, origin_names[cli->origins[i]]);
+                   value ? cli_safe(value) : preset, name, origin_names[cli->origins[i]]);
     }
     const char *token = getenv("TILERY_TOKEN");
-    buf_printf(out, "%-11s %-28s %-18s %s\n", "", token && token[0] ? "(set)" : "-", "TILERY_TOKEN",
-               token && token[0] ? "environment" : "default");
+    buf_printf(out, "%-11s %-28s %-18s %s\n", "(token)", token && token[0] ? "(set)" : "-",
+               "TILERY_TOKEN", token && token[0] ? "environment" : "default");
     char *path = user_file();
     buf_printf(out, "\nfiles, lines of key = value: %s, then %s\n",
                path ? cli_safe(path) : "(no HOME)", SYSTEM_FILE);

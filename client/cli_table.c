@@ -20,30 +20,35 @@ enum {
 };
 _Static_assert(CLI_COMMAND_COUNT < 32, "a bit for each command");
 
-static const char *const render_examples =
-    "  tilery render cornell.json -o out.exr --png out.png\n"
-    "  tilery render car.json -o car.exr --spp 256 --workers 4\n"
-    "  tilery render car.json -o eye.exr --crop 100,80,64,64    a detail, same bits\n"
-    "  tilery render car.json -o car.exr --target-error 0.001   until it is that good\n";
-static const char *const doctor_examples =
-    "  tilery doctor scene.json          counts, places and advice\n"
-    "  tilery doctor bunny.ply --json    the same for programs\n";
-static const char *const submit_examples =
-    "  tilery submit scene.json --name spot            prints the job's id\n"
-    "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n"
-    "  tilery submit shot.####.json --frames 1-24      an animation, a job a frame\n";
-static const char *const tradeoff_examples =
-    "  tilery tradeoff scene.json -o study               then open study/index.html\n"
-    "  tilery tradeoff scene.json -o study --budget 600  narrower intervals\n"
-    "  tilery render scene.json -o out.exr --preset study/standard.preset\n";
-static const char *const compare_examples =
-    "  tilery compare out.exr reference.exr\n"
-    "  tilery compare a.exr b.exr --identical          exit 1 unless all bits are\n"
-    "  tilery compare a.exr b.exr --max-relmse 0.001   exit 1 if it is over\n";
-static const char *const get_examples = "  tilery get j42 -o out.exr\n"
-                                        "  tilery get j42 -o out.png\n"
-                                        "  tilery get j43 -o out.####.exr           every frame\n"
-                                        "  tilery get j43 --frame 7 -o seven.exr    one of them\n";
+const char *const cli_examples[CLI_COMMAND_COUNT] = {
+    [CLI_RENDER] =
+        "  tilery render cornell.json -o out.exr --png out.png\n"
+        "  tilery render car.json -o car.exr --spp 256 --workers 4\n"
+        "  tilery render car.json -o eye.exr --crop 100,80,64,64    a detail, same bits\n"
+        "  tilery render car.json -o car.exr --target-error 0.001   until it is that good\n",
+    [CLI_EXPLAIN] =
+        "  tilery explain scene.json             what is sent, kept in memory, left out\n"
+        "  tilery explain scene.json --spp 256   also seconds and error, by a pilot\n"
+        "  tilery explain bunny.ply --numerics   what may hurt its picture\n",
+    [CLI_DOCTOR] = "  tilery doctor scene.json          counts, places and advice\n"
+                   "  tilery doctor bunny.ply --json    the same for programs\n",
+    [CLI_IMPORT] = "  tilery import bunny.ply -o bunny.json    then edit its camera and lights\n",
+    [CLI_SUBMIT] = "  tilery submit scene.json --name spot            prints the job's id\n"
+                   "  tilery submit scene.json --wait -o out.exr      and fetches the picture\n"
+                   "  tilery submit shot.####.json --frames 1-24      an animation, a job a frame\n"
+                   "  tilery submit scene.json --tags big             on workers with --tag big\n",
+    [CLI_TRADEOFF] =
+        "  tilery tradeoff scene.json -o study               then open study/index.html\n"
+        "  tilery tradeoff scene.json -o study --budget 600  narrower intervals\n"
+        "  tilery render scene.json -o out.exr --preset study/standard.preset\n",
+    [CLI_COMPARE] = "  tilery compare out.exr reference.exr\n"
+                    "  tilery compare a.exr b.exr --identical          exit 1 unless all bits are\n"
+                    "  tilery compare a.exr b.exr --max-relmse 0.001   exit 1 if it is over\n",
+    [CLI_GET] = "  tilery get j42 -o out.exr\n"
+                "  tilery get j42 -o out.png\n"
+                "  tilery get j43 -o out.####.exr           every frame\n"
+                "  tilery get j43 --frame 7 -o seven.exr    one of them\n",
+};
 
 const struct cli_command cli_commands[CLI_COMMAND_COUNT] = {
 #define CLI_COMMAND_ROW(id, name_, section_, arguments_, min_, max_, summary_)                     \
@@ -52,14 +57,7 @@ const struct cli_command cli_commands[CLI_COMMAND_COUNT] = {
                   .arguments = arguments_,                                                         \
                   .summary = summary_,                                                             \
                   .argument_min = min_,                                                            \
-                  .argument_max = max_,                                                            \
-                  .examples = CLI_##id == CLI_RENDER     ? render_examples                         \
-                              : CLI_##id == CLI_SUBMIT   ? submit_examples                         \
-                              : CLI_##id == CLI_DOCTOR   ? doctor_examples                         \
-                              : CLI_##id == CLI_TRADEOFF ? tradeoff_examples                       \
-                              : CLI_##id == CLI_COMPARE  ? compare_examples                        \
-                              : CLI_##id == CLI_GET      ? get_examples                            \
-                                                         : NULL},
+                  .argument_max = max_},
     CLI_COMMANDS(CLI_COMMAND_ROW)
 #undef CLI_COMMAND_ROW
 };

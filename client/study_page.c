@@ -23,10 +23,11 @@ static const char style[] =
     ".card h3 { margin: 0; font-size: 1.05rem } .card p { margin: .4rem 0 }\n"
     "code, pre { font: 13px/1.4 ui-monospace, monospace; overflow-x: auto }\n"
     "pre { background: var(--ink3); padding: .4rem .6rem; border-radius: .3rem; margin: .4rem 0 }\n"
-    ".scroll { overflow-x: auto } table { border-collapse: collapse; width: 100% }\n"
-    "th, td { text-align: right; padding: .2rem .6rem; border-bottom: 1px solid var(--ink3);"
+    ".scroll { overflow-x: auto } table { border-collapse: collapse; width: 100%;"
+    " font-size: .8rem }\n"
+    "th, td { text-align: right; padding: .2rem .35rem; border-bottom: 1px solid var(--ink3);"
     " white-space: nowrap } small { color: var(--ink2) } th:first-child, td:first-child, "
-    "td:last-child { text-align: left }\n"
+    "td:last-child { text-align: left } td:last-child { white-space: normal }\n"
     "tr.base td { font-weight: 600 } .bias { color: var(--ink9); font-weight: 600 }\n"
     ".gallery { display: flex; flex-wrap: wrap; gap: .8rem }\n"
     "figure { margin: 0 } figcaption { font-size: 12px; color: var(--ink2); max-width: 14rem }\n"
@@ -257,6 +258,21 @@ static void put_cell(struct stats_interval v, struct buf *out)
     buf_printf(out, "</td>");
 }
 
+static void put_remarks(const struct study_point *p, struct buf *out)
+{
+    const char *const texts[] = {p->own ? "base" : NULL, p->front ? "front" : NULL,
+                                 p->same_bits ? "base's bits" : NULL};
+    const char *before = "";
+    for (size_t i = 0; i < sizeof texts / sizeof *texts; i++) {
+        if (!texts[i])
+            continue;
+        buf_printf(out, "%s%s", before, texts[i]);
+        before = ", ";
+    }
+    if (p->knob == KNOB_ADAPTIVE)
+        buf_printf(out, "%smean %.1f spp", before, p->spp_mean);
+}
+
 static void put_row(const struct study *s, const struct study_point *p, struct buf *out)
 {
     char variance[HUMAN_BYTES], bias[HUMAN_BYTES], se[HUMAN_BYTES], bytes[HUMAN_BYTES];
@@ -271,11 +287,9 @@ static void put_row(const struct study *s, const struct study_point *p, struct b
     put_cell(p->error, out);
     put_cell(study_gain(s, p), out);
     buf_printf(out, "<td>%s</td>", variance);
-    buf_printf(out, "<td%s>%s &plusmn; %s</td><td>%s</td><td>%s%s%s",
-               study_biased(p) ? " class=\"bias\"" : "", bias, se, bytes, p->own ? "base; " : "",
-               p->front ? "front; " : "", p->same_bits ? "base's bits" : "");
-    if (p->knob == KNOB_ADAPTIVE)
-        buf_printf(out, "mean %.1f spp", p->spp_mean);
+    buf_printf(out, "<td%s>%s &plusmn; %s</td><td>%s</td><td>",
+               study_biased(p) ? " class=\"bias\"" : "", bias, se, bytes);
+    put_remarks(p, out);
     buf_printf(out, "</td></tr>\n");
 }
 

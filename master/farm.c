@@ -33,11 +33,20 @@ int64_t farm_now_ms(const struct farm *f)
     return (int64_t)uv_now(f->loop);
 }
 
-int64_t farm_wall_us(void)
+static int64_t clock_us(clockid_t clock)
 {
     struct timespec t;
-    (void)clock_gettime(CLOCK_REALTIME, &t);
+    (void)clock_gettime(clock, &t);
     return (int64_t)t.tv_sec * 1000000 + t.tv_nsec / 1000;
+}
+
+int64_t farm_wall_us(void)
+{
+    static int64_t offset_us; /* from the time since boot, which nobody sets */
+    int64_t boot_us = clock_us(CLOCK_BOOTTIME);
+    if (offset_us == 0)
+        offset_us = clock_us(CLOCK_REALTIME) - boot_us;
+    return boot_us + offset_us;
 }
 
 /* --- Scheduler ---------------------------------------------------------- */

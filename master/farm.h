@@ -214,8 +214,10 @@ void farm_feed(struct farm *f, const struct sched_event *event);
  * people, at most `people_max`. Strangers must never keep a result from the disk. */
 void farm_connection_limits(uint32_t people_max, uint32_t *people, uint32_t *workers);
 
-/* Milliseconds of the loop's monotonic clock; microseconds since 1970. */
+/* Milliseconds of the loop's monotonic clock. */
 int64_t farm_now_ms(const struct farm *f);
+/* Microseconds since 1970: the time of day at the first call, and what has passed since. A clock
+ * that is set meanwhile changes no job's seconds. */
 int64_t farm_wall_us(void);
 
 /* --- jobs.c --------------------------------------------------------------- */

@@ -512,6 +512,20 @@ enum err jobs_set_priority(struct farm *f, struct job *job, int32_t priority, st
 
 /* --- Loading ------------------------------------------------------------ */
 
+/* The clock was set back while there was no master: what happened in the future did just now, in
+ * the same distances. */
+static void bring_back(struct job_record *rec)
+{
+    int64_t *const stamps[] = {&rec->created_us, &rec->started_us, &rec->finished_us};
+    int64_t ahead_us = 0, now_us = farm_wall_us();
+    for (int i = 0; i < 3; i++)
+        if (*stamps[i] - now_us > ahead_us)
+            ahead_us = *stamps[i] - now_us;
+    for (int i = 0; i < 3; i++)
+        if (*stamps[i] != 0)
+            *stamps[i] -= ahead_us;
+}
+
 static enum err load_job(void *ctx, struct job_record *record)
 {
     struct farm *f = ctx;
@@ -522,6 +536,7 @@ static enum err load_job(void *ctx, struct job_record *record)
         return job ? ERR_LIMIT : ERR_NOMEM;
     }
     job->rec = *record;
+    bring_back(&job->rec);
     struct diag_list problems;
     diag_init(&problems);
     enum err e =
@@ -547,7 +562,8 @@ static enum err load_event(void *ctx, uint64_t job_id, int64_t at_us, const char
 {
     struct job *job = farm_job(ctx, job_id);
     struct job_event *event = &job->events[job->event_count++ % FARM_EVENTS_SHOWN];
-    event->at_us = at_us;
+    int64_t now_us = farm_wall_us();
+    event->at_us = at_us < now_us ? at_us : now_us;
     (void)snprintf(event->text, sizeof event->text, "%s", text ? text : "");
     return ERR_OK;
 }

@@ -48,7 +48,7 @@ enum sched_worker_state workers_state(const struct farm *f, const struct worker 
     *info = (struct sched_worker_info){.state = SCHED_WORKER_GONE};
     if (!sched_worker_info(f->sched, w->id, info))
         info->state = SCHED_WORKER_GONE;
-    if (!w->conn)
+    if (info->state == SCHED_WORKER_GONE)
         return SCHED_WORKER_GONE;
     return w->draining && info->state != SCHED_WORKER_QUARANTINED ? SCHED_WORKER_DRAINING
                                                                   : info->state;
@@ -134,9 +134,12 @@ void workers_news(struct farm *f, const struct sched_action *a)
                        "w%" PRIu64 " (%s) lost: its %" PRIu32
                        " units go to others, finished work stays",
                        w->id, w->name, a->losses);
+        log_info("workers", "%s id=w%" PRIu64 " name=%s units=%" PRIu32,
+                 w->said_goodbye ? "left" : "lost", w->id, w->name, a->losses);
         if (a->losses > 0)
             tell_jobs(f, text);
         tell(f, w, w->said_goodbye ? "left" : "lost", a->losses);
+        jobs_keep_counts(f);
     } else {
         w->note[0] = '\0';
         workers_changed(f, w);
@@ -430,7 +433,34 @@ void workers_retag(struct farm *f)
     }
 }
 
-static void detach(struct farm *f, struct worker *w, enum err why);
+/* Its connection is not its own any more. */
+static void take_conn(struct worker *w)
+{
+    struct conn_counts counts;
+    conn_counts_get(w->conn, &counts);
+    w->bytes_in += counts.bytes_in;
+    w->bytes_out += counts.bytes_out;
+    w->frames_in += counts.frames_in;
+    w->frames_out += counts.frames_out;
+    w->conn = NULL;
+    drop_chunk_waits(w);
+}
+
+static void tell_joined(struct farm *f, struct worker *w, bool back, uint32_t held)
+{
+    log_info(
+        "workers", "%s id=w%" PRIu64 " name=%s host=%s threads=%" PRIu32 " peer=%s held=%" PRIu32,
+        back ? "back" : "joined", w->id, w->name, w->host, w->threads, conn_peer(w->conn), held);
+    if (back) {
+        workers_changed(f, w);
+        return;
+    }
+    char line[160];
+    (void)snprintf(line, sizeof line, "w%" PRIu64 " (%s) joined, %" PRIu32 " thread%s", w->id,
+                   w->name, w->threads, w->threads == 1 ? "" : "s");
+    tell_jobs(f, line);
+    tell(f, w, "joined", 0);
+}
 
 static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
 {
@@ -449,10 +479,12 @@ static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
     if (w->conn) {
         /* The same process came back before its old connection was known to be dead. */
         struct conn *old = w->conn;
-        detach(f, w, ERR_CLOSED);
+        take_conn(w);
         conn_set_ctx(old, NULL);
         conn_close(old, ERR_CLOSED);
     }
+    struct sched_worker_info info;
+    bool back = workers_state(f, w, &info) != SCHED_WORKER_GONE; /* before it was lost */
     keep_determinism(f, h);
     fill_worker(w, h);
     w->conn = c;
@@ -467,16 +499,9 @@ static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
     m.welcome.farm = f->id;
     (void)snprintf(m.welcome.worker_id, sizeof m.welcome.worker_id, "w%" PRIu64, w->id);
     send_to(w, &m, NULL);
-    log_info("workers",
-             "joined id=w%" PRIu64 " name=%s host=%s threads=%" PRIu32 " peer=%s held=%u", w->id,
-             w->name, w->host, w->threads, conn_peer(c), (unsigned)h->held_count);
     verify_tell_past(f, w->id);
     join(f, w, h);
-    char line[160];
-    (void)snprintf(line, sizeof line, "w%" PRIu64 " (%s) joined, %" PRIu32 " thread%s", w->id,
-                   w->name, w->threads, w->threads == 1 ? "" : "s");
-    tell_jobs(f, line);
-    tell(f, w, "joined", 0);
+    tell_joined(f, w, back, h->held_count);
 }
 
 /* --- Messages ----------------------------------------------------------- */
@@ -604,14 +629,7 @@ static enum err body_wanted(void *ctx, struct conn *c, const struct message *m, 
 
 static void detach(struct farm *f, struct worker *w, enum err why)
 {
-    struct conn_counts counts;
-    conn_counts_get(w->conn, &counts);
-    w->bytes_in += counts.bytes_in;
-    w->bytes_out += counts.bytes_out;
-    w->frames_in += counts.frames_in;
-    w->frames_out += counts.frames_out;
-    w->conn = NULL;
-    drop_chunk_waits(w);
+    take_conn(w);
     if (f->stopping)
         return;
     bool left = w->said_goodbye;
@@ -620,12 +638,11 @@ static void detach(struct farm *f, struct worker *w, enum err why)
                    : why == ERR_TIMEOUT ? "silent for 3 s"
                    : why == ERR_OK      ? "connection closed"
                                         : err_text(why));
-    log_info("workers", "%s id=w%" PRIu64 " name=%s why=\"%s\"", left ? "left" : "lost", w->id,
-             w->name, why == ERR_OK ? "closed by the worker" : err_name(why));
-    struct sched_event event = {.type = left ? SCHED_WORKER_LEFT : SCHED_WORKER_LOST,
+    log_info("workers", "connection lost id=w%" PRIu64 " name=%s why=\"%s\"", w->id, w->name,
+             why == ERR_OK ? "closed by the worker" : err_name(why));
+    struct sched_event event = {.type = left ? SCHED_WORKER_LEFT : SCHED_WORKER_AWAY,
                                 .worker = w->id};
-    farm_feed(f, &event); /* answers with the news of it */
-    jobs_keep_counts(f);
+    farm_feed(f, &event); /* once it is gone, news of it come */
 }
 
 static void on_close(void *ctx, struct conn *c, enum err why)

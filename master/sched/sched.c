@@ -17,6 +17,7 @@ void sched_limits_init(struct sched_limits *limits)
         .load_ms = 600000,
         .pause_ms_min = 2000,
         .pause_ms_max = 120000,
+        .away_ms = 600,
         .seed = 1,
     };
 }
@@ -132,6 +133,7 @@ bool sched_feed(struct sched *s, uint64_t now_ms, const struct sched_event *e)
         return jobs_feed(s, e);
     case SCHED_WORKER_PAST:
     case SCHED_WORKER_JOIN:
+    case SCHED_WORKER_AWAY:
     case SCHED_WORKER_LOST:
     case SCHED_WORKER_DRAIN:
     case SCHED_WORKER_LEFT:

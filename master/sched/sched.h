@@ -25,6 +25,7 @@
  *
  *      joined --> IDLE <--> LOADING --> BUSY --> (IDLE)      left or lost from anywhere --> LOST
  *                  any --> DRAINING --> drained              rejoins from LOST
+ *                  any --> away for limits.away_ms --> LOST  rejoins from there with its leases
  *                  any --> SET_ASIDE -- pause over --> IDLE  fails, times out, is lost often
  *                  any --> QUARANTINED                       lied; for good
  *
@@ -38,9 +39,10 @@
  *   4. DONE is final unless the caller resets the cell.
  *   5. A lease names a live worker. An epoch names one lease for ever; one that is adopted keeps
  *      it.
- *   6. A worker is given no lease beyond its allowance (it may bring more along); `begun` are at
- *      most its threads, and a lease has a deadline exactly while it is begun (its worker has
- *      reported the job ready).
+ *   6. A worker is given no lease beyond its allowance (it may bring more along), and none while
+ *      it is away; `begun` are at most its threads, and a lease has a deadline exactly while it is
+ *      begun (its worker has reported the job ready). The deadline goes on while the worker is
+ *      away and after it is back: coming back again and again gains nothing.
  *   7. No lease is held by a worker that is lost, set aside or quarantined.
  *   8. A worker that renders a suspect alone holds that one lease only.
  *   9. Copies of a unit are on different workers; a check never asks a worker that has voted.
@@ -48,6 +50,11 @@
  *      done, no check is open and no liar's cells wait to be reset.
  *  11. Progress never goes back.
  *  12. A lease's worker has all tags that its job asks for.
+ *
+ * A worker whose connection breaks is away first: within limits.away_ms the same process can be
+ * back. Then what it still holds goes on as if nothing had happened, and nothing is counted against
+ * anybody; what it does not tell of was lost on the way and goes to others, without blame. Idle
+ * workers may copy its leases meanwhile.
  *
  * Over a restart of the master the caller keeps what matters: done spots, blame (SCHED_UNIT_LOST),
  * open checks (SCHED_CHECK_OPENED, _CLOSED) and who lied or was set aside; see sched_job_add and
@@ -92,6 +99,7 @@ struct sched_limits {
     uint32_t load_ms;      /* a worker that was not ready for a job after this fails it [600,000] */
     uint32_t pause_ms_min; /* first pause of a worker that is set aside; doubles [2,000] */
     uint32_t pause_ms_max; /* [120,000] */
+    uint32_t away_ms;      /* a worker without a connection keeps its leases for so long [600] */
     uint64_t seed;         /* decides which units are verified; secret from workers [1] */
 };
 
@@ -135,7 +143,8 @@ enum sched_event_type {
 
     SCHED_WORKER_PAST,  /* .past: what is known of an unknown worker; before its JOIN */
     SCHED_WORKER_JOIN,  /* .join; also a return */
-    SCHED_WORKER_LOST,  /* connection gone or silent: its leases go to others */
+    SCHED_WORKER_AWAY,  /* connection gone or silent: lost, unless it joins again soon */
+    SCHED_WORKER_LOST,  /* gone for good: its leases go to others at once */
     SCHED_WORKER_DRAIN, /* takes no more work */
     SCHED_WORKER_LEFT,  /* said goodbye: leases returned, no blame */
     SCHED_WORKER_RTT,   /* .rtt_us, measured */
@@ -221,8 +230,8 @@ struct sched_held {
     enum sched_held_state state;
 };
 
-/* Of what it holds, what nobody else has begun stays with the worker; SCHED_REVOKE follows for the
- * rest. At most leases_per_worker_max of it are looked at. */
+/* Of what it holds, the leases that it still has and what nobody else has begun stay with the
+ * worker; SCHED_REVOKE follows for the rest. At most leases_per_worker_max of it are looked at. */
 struct sched_join {
     uint32_t threads;              /* 1.. */
     uint64_t tags;                 /* bits that it has */
@@ -281,7 +290,7 @@ bool sched_feed(struct sched *s, uint64_t now_ms, const struct sched_event *even
 /* --- Actions: what the caller must do ------------------------------------ */
 
 enum sched_action_type {
-    /* To a worker. */
+    /* To a worker; never to one that is away. */
     SCHED_OPEN_JOB,  /* send JobInfo of .job; always before the first lease of it */
     SCHED_CLOSE_JOB, /* send JobEnd: no more units of .job */
     SCHED_LEASE,     /* send Lease .job .unit .epoch */

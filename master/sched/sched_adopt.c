@@ -1,5 +1,6 @@
 /* Leases that a worker brings along when it joins: given before its connection broke, perhaps by a
- * master that has died since. What nobody else has got further with stays with it. */
+ * master that has died since. Those that are still its own are marked; of the others, what nobody
+ * else has got further with becomes its own again. */
 #include "master/sched/sched_impl.h"
 
 /* The lease that a spot belongs to; SLOT_NONE: none. */
@@ -125,6 +126,23 @@ static uint32_t adopt(struct sched *s, uint32_t worker, const struct sched_held 
     if (lease != SLOT_NONE)
         lease_own_check(s, lease, check);
     return lease;
+}
+
+void worker_told(struct sched *s, uint32_t worker, const struct sched_held *held, size_t count)
+{
+    const struct worker *w = &s->workers[worker];
+    const struct chain *chains[] = {&w->begun, &w->queued};
+    for (int i = 0; i < 2; i++)
+        for (uint32_t l = chains[i]->head; l != SLOT_NONE; l = s->lease_worker_links[l].next)
+            s->leases[l].told = false;
+    for (size_t i = 0; i < count && i < s->limits.leases_per_worker_max; i++) {
+        uint32_t l = slotmap_find(&s->lease_map, held[i].epoch);
+        if (l != SLOT_NONE && !s->leases[l].revoked && s->leases[l].worker == worker &&
+            s->jobs[s->leases[l].job].id == held[i].job &&
+            worker_has_tags(w, &s->jobs[s->leases[l].job]) &&
+            unit_equal(s->leases[l].unit, held[i].unit))
+            s->leases[l].told = true;
+    }
 }
 
 void worker_adopt(struct sched *s, uint32_t worker, const struct sched_held *held, size_t count)

@@ -261,6 +261,8 @@ static uint64_t lease_left_ms(const struct sched *s, const struct lease *l)
     struct worker *w = &s->workers[l->worker];
     const struct worker_job *wj = worker_job_find(w, s->jobs[l->job].id);
     uint64_t expected_ms = l->expected_ms;
+    if (w->away)
+        return expected_ms + LOAD_GUESS_MS;
     if (!l->begun) {
         uint64_t ahead = w->begun.count > 0 ? expected_ms : 0;
         return expected_ms + ahead + (wj->ready ? 0 : LOAD_GUESS_MS);

@@ -107,6 +107,8 @@ static void check_worker(const struct sched *s, uint32_t slot)
     TL_ASSERT(w->held == 0 || (w->connected && !w->set_aside && !w->quarantined));
     TL_ASSERT(!w->alone || w->held == 1);
     TL_ASSERT(w->counted == worker_usable(w));
+    TL_ASSERT(!w->away || (w->connected && w->list == LIST_NONE));
+    TL_ASSERT(!w->away || timers_running(&s->timers, s->limits.lease_count_max + slot));
     TL_ASSERT((w->list == LIST_GONE) == !w->connected);
     TL_ASSERT(w->list != LIST_STARVING || (worker_usable(w) && w->held < w->threads));
     uint32_t leases = 0;

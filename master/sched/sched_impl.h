@@ -119,6 +119,8 @@ enum worker_list { LIST_NONE, LIST_STARVING, LIST_PREFETCH, LIST_GONE };
 struct worker {
     uint64_t handle;
     bool connected, draining, drained_told, quarantined, set_aside;
+    bool away; /* `connected`, and holds its leases, but has no connection until it joins again */
+    uint64_t away_until_ms;
     bool counted;          /* its threads are part of sched.threads */
     bool alone;            /* renders a suspect alone */
     uint64_t reserved_job; /* gets nothing until it is empty, then a suspect of this job; 0: no */
@@ -145,6 +147,7 @@ struct lease {
     bool alone;
     bool solo;     /* in the job's solo chain */
     bool revoked;  /* ended; waits for its REVOKE to be taken */
+    bool told;     /* its worker, which is joining again, still has it */
     uint32_t open; /* spots it owns */
     uint32_t twin; /* ring of the leases of one unit */
     uint32_t suspect, check;
@@ -324,6 +327,8 @@ void worker_leases_end(struct sched *s, uint32_t worker, uint64_t job, enum leas
                        bool blame);
 
 /* --- sched_adopt.c --- */
+/* Marks the leases of a worker that it tells of as it joins again. */
+void worker_told(struct sched *s, uint32_t worker, const struct sched_held *held, size_t count);
 /* What a worker that joins holds becomes leases again, or is revoked. */
 void worker_adopt(struct sched *s, uint32_t worker, const struct sched_held *held, size_t count);
 

@@ -261,7 +261,7 @@ bool jobs_close_next(struct sched *s, struct sched_action *out)
                 slotmap_used(&s->worker_map, slot) ? worker_job_find(w, j->id) : NULL;
             if (!wj)
                 continue;
-            bool tell = wj->open && w->connected;
+            bool tell = wj->open && w->connected && !w->away;
             TL_ASSERT(wj->leases == 0);
             wj->open = wj->ready = false; /* its speed is worth keeping */
             if (j->removed)

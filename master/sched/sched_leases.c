@@ -325,7 +325,7 @@ void lease_end(struct sched *s, uint32_t lease, enum lease_end how, bool blame)
     chain_remove(lease_job_chain(j, l), s->lease_job_links, lease);
     struct unit unit = l->unit;
     uint32_t worker = l->worker, job = l->job;
-    if ((how == END_REVOKED || how == END_TAKEN) && w->connected) {
+    if ((how == END_REVOKED || how == END_TAKEN) && w->connected && !w->away) {
         l->revoked = true;
         chain_push(&s->revoked, s->lease_worker_links, lease);
     } else {

@@ -78,7 +78,9 @@ bool worker_past(struct sched *s, uint64_t handle, const struct sched_past *past
     w->quarantined = past->lied;
     w->pauses = past->pauses < PAUSES_MAX ? past->pauses : PAUSES_MAX;
     w->set_aside = past->until_ms > s->now_ms;
-    w->until_ms = past->until_ms;
+    /* No pause is longer, whatever the clock was when it was written down. */
+    uint64_t latest_ms = s->now_ms + s->limits.pause_ms_max;
+    w->until_ms = past->until_ms < latest_ms ? past->until_ms : latest_ms;
     worker_place(s, worker);
     return true;
 }

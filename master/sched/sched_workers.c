@@ -8,7 +8,7 @@ enum {
 
 bool worker_usable(const struct worker *w)
 {
-    return w->connected && !w->draining && !w->quarantined && !w->set_aside;
+    return w->connected && !w->away && !w->draining && !w->quarantined && !w->set_aside;
 }
 
 enum sched_worker_state worker_state(const struct worker *w)
@@ -141,7 +141,7 @@ void worker_place(struct sched *s, uint32_t worker)
     }
     if (worker_usable(w) != w->counted)
         count_threads(s, w, !w->counted);
-    if (w->draining && w->connected && w->held == 0 && !w->drained_told) {
+    if (w->draining && w->connected && !w->away && w->held == 0 && !w->drained_told) {
         w->drained_told = true;
         sched_news_push(s, &(struct sched_action){.type = SCHED_DRAINED, .worker = w->handle});
     }
@@ -210,7 +210,7 @@ bool worker_barred(const struct sched *s, struct worker *w, const struct job *j)
 void worker_begin_leases(struct sched *s, uint32_t worker)
 {
     struct worker *w = &s->workers[worker];
-    if (!w->connected || w->quarantined || w->set_aside)
+    if (!w->connected || w->away || w->quarantined || w->set_aside)
         return;
     uint32_t l = w->queued.head;
     while (l != SLOT_NONE && w->begun.count < w->threads) {
@@ -231,13 +231,15 @@ static uint64_t pause_ms(const struct sched *s, uint32_t pauses)
     return ms < s->limits.pause_ms_max ? ms : s->limits.pause_ms_max;
 }
 
-/* One timer a worker: the end of its pause, of a bar, or of its patience with loading. */
+/* One timer a worker: the end of its absence, its pause, a bar, or its patience with loading. */
 void worker_timer_set(struct sched *s, uint32_t worker)
 {
     const struct worker *w = &s->workers[worker];
     uint64_t due = UINT64_MAX;
     if (w->connected && w->set_aside && !w->quarantined)
         due = w->until_ms;
+    if (w->away && w->away_until_ms < due)
+        due = w->away_until_ms;
     for (int i = 0; i < WORKER_JOBS && w->connected; i++) {
         const struct worker_job *wj = &w->jobs[i];
         if (wj->job == 0)
@@ -269,9 +271,15 @@ void worker_job_unfit(struct sched *s, uint32_t worker, struct worker_job *wj, u
         job_fail(s, job, SCHED_WHY_JOB_UNFIT, (struct unit){0});
 }
 
+static void worker_gone(struct sched *s, uint32_t worker, bool lost);
+
 void worker_timer_fired(struct sched *s, uint32_t worker)
 {
     struct worker *w = &s->workers[worker];
+    if (w->away && s->now_ms >= w->away_until_ms) {
+        worker_gone(s, worker, true);
+        return;
+    }
     if (w->set_aside && s->now_ms >= w->until_ms) {
         w->set_aside = false;
         w->fault_points = FAULT_POINTS_ASIDE / 2;
@@ -285,8 +293,10 @@ void worker_timer_fired(struct sched *s, uint32_t worker)
             wj->barred_until_ms = 0;
         if (wj->job != 0 && wj->open && !wj->ready &&
             wj->opened_ms + s->limits.load_ms <= s->now_ms) {
-            sched_news_push(s, &(struct sched_action){
-                                   .type = SCHED_CLOSE_JOB, .worker = w->handle, .job = wj->job});
+            if (!w->away)
+                sched_news_push(s, &(struct sched_action){.type = SCHED_CLOSE_JOB,
+                                                          .worker = w->handle,
+                                                          .job = wj->job});
             worker_job_unfit(s, worker, wj, UNFIT_POINTS);
         }
     }
@@ -348,7 +358,7 @@ static void worker_gone(struct sched *s, uint32_t worker, bool lost)
 {
     struct worker *w = &s->workers[worker];
     uint32_t held = w->held;
-    w->connected = false;
+    w->connected = w->away = false;
     w->draining = false;
     w->alone = false;
     worker_leases_end(s, worker, 0, END_DROPPED, lost);
@@ -369,6 +379,57 @@ static void worker_gone(struct sched *s, uint32_t worker, bool lost)
                                               .worker = w->handle,
                                               .state = SCHED_WORKER_GONE,
                                               .losses = held});
+}
+
+/* Its connection is gone, perhaps not for long: it keeps what it has, and gets nothing. */
+static bool worker_leave(struct sched *s, uint32_t worker)
+{
+    struct worker *w = &s->workers[worker];
+    if (w->away)
+        return false;
+    w->away = true;
+    w->away_until_ms = s->now_ms + s->limits.away_ms;
+    worker_timer_set(s, worker);
+    worker_place(s, worker);
+    return true;
+}
+
+/* A lease of a worker that it has not told of, or SLOT_NONE. */
+static uint32_t untold_lease(const struct sched *s, const struct worker *w)
+{
+    const struct chain *chains[] = {&w->begun, &w->queued};
+    for (int i = 0; i < 2; i++)
+        for (uint32_t l = chains[i]->head; l != SLOT_NONE; l = s->lease_worker_links[l].next)
+            if (!s->leases[l].told)
+                return l;
+    return SLOT_NONE;
+}
+
+/* The same process is back before it was lost: what it still has stays as it is, deadlines too. It
+ * is told of its jobs once more, and has no longer to load them than it had. */
+static void worker_back(struct sched *s, uint32_t worker, const struct sched_join *join)
+{
+    struct worker *w = &s->workers[worker];
+    worker_told(s, worker, join->held, join->held_count);
+    uint32_t lease;
+    while ((lease = untold_lease(s, w)) != SLOT_NONE) {
+        w->lost++;
+        lease_end(s, lease, END_DROPPED, false);
+    }
+    for (int i = 0; i < WORKER_JOBS; i++) {
+        struct worker_job *wj = &w->jobs[i];
+        bool loading = wj->open && !wj->ready;
+        uint64_t opened_ms = wj->opened_ms;
+        wj->open = wj->ready = false;
+        if (wj->leases == 0)
+            continue;
+        worker_job_open(s, worker, wj);
+        if (loading)
+            wj->opened_ms = opened_ms;
+        sched_news_push(
+            s, &(struct sched_action){.type = SCHED_OPEN_JOB, .worker = w->handle, .job = wj->job});
+    }
+    w->draining = w->away = false;
 }
 
 uint32_t worker_add(struct sched *s, uint64_t handle)
@@ -401,13 +462,17 @@ static bool worker_join(struct sched *s, uint64_t handle, const struct sched_joi
         return false;
     struct worker *w = &s->workers[worker];
     if (w->connected)
+        (void)worker_leave(s, worker);
+    if (w->away && w->begun.count > join->threads)
         worker_gone(s, worker, false);
+    w->tags = join->tags; /* its threads are not counted now */
+    if (w->away)
+        worker_back(s, worker, join);
     w->connected = true;
     w->drained_told = false;
     w->threads = join->threads < SCHED_THREADS_MAX ? join->threads : SCHED_THREADS_MAX;
     if (w->set_aside && w->until_ms <= s->now_ms)
         w->until_ms = s->now_ms;
-    w->tags = join->tags;
     worker_timer_set(s, worker);
     worker_place(s, worker);
     worker_adopt(s, worker, join->held, join->held_count);
@@ -485,6 +550,8 @@ bool workers_feed(struct sched *s, const struct sched_event *e)
     if (worker == SLOT_NONE || !s->workers[worker].connected)
         return false;
     switch (e->type) {
+    case SCHED_WORKER_AWAY:
+        return worker_leave(s, worker);
     case SCHED_WORKER_LOST:
     case SCHED_WORKER_LEFT:
         worker_gone(s, worker, e->type == SCHED_WORKER_LOST);

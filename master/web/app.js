@@ -36,6 +36,7 @@ const change = (path, body) => call(path, { method: "PATCH", body: JSON.stringif
 const percent = (v) => (v == null ? "-" : Math.floor(100 * v) + " %");
 const figures = (v) => (v < 10 ? v.toPrecision(2) : Math.round(v));
 const left = (v) => (v ? figures(v[0]) + "-" + figures(v[1]) + " s" : "-");
+const count = (n, word) => n + " " + word + (n === 1 ? "" : "s");
 const rays = (v) => (v >= 1e9 ? (v / 1e9).toFixed(1) + " Gray/s"
   : v >= 1e6 ? (v / 1e6).toFixed(1) + " Mray/s" : Math.round(v / 1e3) + " kray/s");
 
@@ -99,7 +100,7 @@ function showReport(r) {
     + r.error.worst_cell.y + ": " + r.error.worst_cell.relmse.toPrecision(3));
   put(list, "Stopped by", r.stopped_by == null || r.stopped_by === "spp" ? null : r.stopped_by);
   put(list, "seconds", Object.entries(r.seconds).filter(([, v]) => v != null)
-    .map(([k, v]) => k + " " + v.toFixed(2)).join(", "));
+    .map(([k, v]) => k.replace("_", " ") + " " + v.toFixed(2)).join(", "));
   put(list, "core seconds", r.core_seconds.toFixed(1));
   put(list, "rays", r.rays.toLocaleString("en"));
   put(list, "units", Object.entries(r.units).map(([k, v]) => k + " " + v).join(", "));
@@ -211,7 +212,8 @@ async function loadFarm() {
     + "tilery submit scene.json\n" + "tilery watch j1";
   $("workers-table").hidden = workers.items.length === 0;
   $("farm").textContent = farm.jobs.rendering + " rendering, " + farm.jobs.queued + " queued, "
-    + farm.workers + " workers, " + farm.threads + " threads, " + rays(farm.rays_s);
+    + count(farm.workers, "worker") + ", " + count(farm.threads, "thread")
+    + (farm.jobs.rendering > 0 && farm.rays_s > 0 ? ", " + rays(farm.rays_s) : "");
 }
 
 /* --- Events ---------------------------------------------------------------- */

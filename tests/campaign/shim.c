@@ -1,4 +1,5 @@
-/* shim.c: makes the n-th step of a program fail, or be its last. For LD_PRELOAD; tests only.
+/* shim.c: makes the n-th step of a program fail, or be its last, or sets its clock. For LD_PRELOAD;
+ * tests only.
  *
  *   TILERY_SHIM=ACTION:STEP:N[:COUNT]
  *     ACTION  kill     SIGKILL before the step;  killed: after it
@@ -10,6 +11,7 @@
  * itself library  the same called from the shared libraries (both: only if built with SHIM_MEMORY)
  *     N       counts from 1; with COUNT, so many steps from N on (0: all)
  *   TILERY_SHIM_COUNT=FILE   the number of steps is written there, at each 64th and at the end
+ *   TILERY_SHIM_CLOCK=FILE   so many seconds as FILE holds are added to the time of day
  *
  * Counting is atomic; the order of steps of several threads is theirs, so a run is not repeated
  * exactly: what must hold, holds at any step.
@@ -29,6 +31,7 @@
 #include <string.h>
 #include <sys/stat.h>
 #include <sys/uio.h>
+#include <time.h>
 #include <unistd.h>
 
 enum action { ACT_COUNT, ACT_KILL, ACT_KILLED, ACT_TORN, ACT_ERROR };
@@ -39,7 +42,7 @@ static enum step watched;
 static int error_number;
 static unsigned long first, last;
 static atomic_ulong steps;
-static int count_fd = -1;
+static int count_fd = -1, clock_fd = -1;
 static uintptr_t program_begin, program_end; /* the executable's own code */
 
 static ssize_t (*real_write)(int, const void *, size_t);
@@ -49,6 +52,8 @@ static int (*real_fsync)(int), (*real_fdatasync)(int);
 static int (*real_ftruncate)(int, off_t);
 static int (*real_rename)(const char *, const char *), (*real_mkdir)(const char *, mode_t);
 static int (*real_unlink)(const char *);
+static int (*real_clock_gettime)(clockid_t, struct timespec *);
+
 static int find_program(struct dl_phdr_info *info, size_t bytes, void *ctx)
 {
     (void)bytes;
@@ -103,9 +108,12 @@ static void put_count(void)
 __attribute__((constructor)) static void start(void)
 {
     FIND(write), FIND(pwrite), FIND(pwritev), FIND(fsync), FIND(fdatasync), FIND(ftruncate);
-    FIND(rename), FIND(mkdir), FIND(unlink);
+    FIND(rename), FIND(mkdir), FIND(unlink), FIND(clock_gettime);
     (void)dl_iterate_phdr(find_program, NULL);
     char *text = getenv("TILERY_SHIM"), *count = getenv("TILERY_SHIM_COUNT");
+    char *clock = getenv("TILERY_SHIM_CLOCK");
+    if (clock)
+        clock_fd = open(clock, O_RDONLY | O_CLOEXEC);
     if (count)
         count_fd = open(count, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (text)
@@ -234,6 +242,25 @@ int mkdir(const char *path, mode_t mode)
 int unlink(const char *path)
 {
     PLAIN_STEP(real_unlink(path));
+}
+
+/* --- Time ----------------------------------------------------------------------
+ * Somebody sets the clock of this machine. */
+
+int clock_gettime(clockid_t clock, struct timespec *out)
+{
+    if (!real_clock_gettime)
+        FIND(clock_gettime); /* called before start() */
+    int result = real_clock_gettime(clock, out);
+    char text[24];
+    ssize_t bytes = 0;
+    if (result == 0 && clock == CLOCK_REALTIME && clock_fd >= 0)
+        bytes = pread(clock_fd, text, sizeof text - 1, 0);
+    if (bytes > 0) {
+        text[bytes] = '\0';
+        out->tv_sec += atol(text);
+    }
+    return result;
 }
 
 #ifdef SHIM_MEMORY

@@ -7,6 +7,8 @@ import socket
 import sys
 import time
 
+import pytest
+
 from farm import SEED_SCENE, SLOW, Farm, wait_until
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "campaign"))
@@ -15,7 +17,7 @@ import kills  # noqa: E402
 import memory  # noqa: E402
 import network  # noqa: E402
 import steps  # noqa: E402
-from common import TINY, golden_of  # noqa: E402
+from common import TINY, golden_of, shim  # noqa: E402
 
 QUICK = ("--size", "64x64", "--spp", 32, "--tile", 8)
 
@@ -38,6 +40,37 @@ def test_slow_strangers():
     network.slow(150, rounds=1, load=("--size", "48x48", "--spp", 64), idle_s=4.0)
 
 
+
+
+@pytest.mark.parametrize("step_s", (3600, -3600))
+def test_somebody_sets_the_clock(tmp_path, step_s):
+    """A job's seconds, and so a time limit, are not of the time of day; a job that was begun in the
+    future, when the clock was set back while there was no master, ends in time too."""
+    clock = tmp_path / "clock"
+    clock.write_text("0")
+    env = {**shim("count:disk:0"), "TILERY_SHIM_CLOCK": clock}
+    options = ("--size", "96x64", "--time-limit", 4)
+    with Farm(tmp_path) as farm:
+        farm.master.end()
+        farm.start_master(env=env)
+        farm.worker()
+        job = farm.submit(SEED_SCENE, *options)
+        farm.wait_progress(job, 0.2)
+        clock.write_text(f"{step_s}")
+        report = farm.wait_job(job, timeout=30)
+        assert report["stopped_by"] == "time"
+        assert 2 < report["seconds"]["total"] < 4 + 8 * SLOW, report["seconds"]
+        assert all(0 <= event["t"] < 60 * SLOW for event in report["events"]), report["events"]
+        if step_s > 0:
+            return
+        job = farm.submit(SEED_SCENE, *options)
+        farm.wait_progress(job, 0.2)
+        farm.kill_master()
+        clock.write_text(f"{3 * step_s}")
+        farm.start_master(env=env)
+        report = farm.wait_job(job, timeout=30)
+        assert 0 < report["seconds"]["total"] < 4 + 20 * SLOW, report["seconds"]
+        assert all(event["t"] >= 0 for event in report["events"]), report["events"]
 
 
 def test_no_descriptors_left(tmp_path):

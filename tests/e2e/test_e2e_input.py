@@ -324,6 +324,9 @@ def test_settings(tmp_path):
     assert "3" in rows["workers"] and "your settings file" in rows["workers"]
     assert "7" in rows["threads"] and "environment" in rows["threads"]
     assert "http://farm:1" in rows["master"]
+    assert rows["SETTING"].split() == ["SETTING", "VALUE", "VARIABLE", "FROM"]
+    assert rows["progress"].split() == ["progress", "auto", "TILERY_PROGRESS", "default"]
+    assert rows["quiet"].split() == ["quiet", "no", "TILERY_QUIET", "default"]
     (folder / "config").write_text("# mine\nworker = 3\n")
     done = tilery("jobs", env=env)
     assert done.returncode == 2

@@ -469,6 +469,47 @@ def test_leases_outlive_the_master(farm, job):
     assert report["samples"] == SIDE * SIDE * SPP
 
 
+@pytest.mark.parametrize("noticed", (False, True))
+def test_a_connection_that_breaks_costs_nothing(farm, job, noticed):
+    """The process is back with its leases, before or soon after the old connection is known to be
+    dead: it goes on, nothing of it is leased to others, nobody counts it as lost."""
+    first = Scripted(farm, instance=91)
+    number = first.expect("Welcome")["farm"]
+    first.send("JobReady", job=1)
+    first.leases.append(first.lease())
+    first.drain_messages()
+    kept = list(first.leases)
+    again = Scripted(farm, instance=91, last_id="w1", last_farm=number, hello=False,
+                     held=[held(lease, WAITING if i else BEGUN) for i, lease in enumerate(kept)])
+    if noticed:
+        first.close()
+        wait_until(lambda: "connection lost id=w1" in farm.master.log(), "the end", step=0.01)
+    again.send("Hello", **again.values)
+    again.welcome()
+    assert again.id == "w1"
+    assert again.expect("JobInfo")["job"] == 1
+    if noticed and " lost id=w1 name=scripted units=" in farm.master.log():
+        return  # this machine was busy for longer than a worker may be away
+    other = Scripted(farm, threads=2, instance=92).welcome()
+    other.send("JobReady", job=1)
+    for peer in (again, other):
+        peer.drain_messages(0.5)
+    mine = set().union(*map(cells_of, kept))
+    for lease in other.leases + again.leases:
+        assert not cells_of(lease) & mine, lease
+    assert farm.job(job)["units"]["retried"] == 0
+    again.leases += kept + other.leases
+    other.send("Goodbye", reason="test")
+    render_all(farm, again, job)
+    report = farm.job(job)
+    assert report["image_sha256"] == expected_sha()
+    assert report["samples"] == SIDE * SIDE * SPP
+    row = next(row for row in farm.request("GET", "/api/v1/workers")[1]["items"]
+               if row["id"] == "w1")
+    assert row["lost"] == 0
+    assert not any("w1 (scripted) lost" in e["text"] for e in report["events"]), report["events"]
+
+
 def test_counts_of_units_outlive_the_master(farm, job):
     """units.retried: leases that ended without a result, over all lives of the master."""
     peer = Scripted(farm, instance=61).welcome()

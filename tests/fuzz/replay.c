@@ -14,7 +14,7 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t bytes);
 
-enum { PREFIX_BYTES_MAX = 2048, INPUT_BYTES_MAX = 64 << 20 };
+enum { PREFIX_BYTES_MAX = 4096, INPUT_BYTES_MAX = 64 << 20 };
 
 static size_t input_count;
 

@@ -9,3 +9,6 @@ tilery_test(test_accel_lazy LABEL prop TIMEOUT 300 LINKS tl_render Threads::Thre
 # Instances of every shape.
 tilery_test(test_accel_stretched LABEL prop TIMEOUT 300 LINKS tl_render Threads::Threads m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/prop/test_accel_stretched.c ${trace_kit})
+# Hits where spatial splits need them.
+tilery_test(test_accel_split LABEL prop TIMEOUT 300 LINKS tl_render Threads::Threads m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/prop/test_accel_split.c ${trace_kit})

@@ -445,7 +445,7 @@ void master_conn_lost(struct sim *sim, uint32_t conn)
     /* It counts only if the worker has no newer connection. */
     if (handle != 0 && sim->m.alive && handle < sim->handle_capacity &&
         sim->handle_conn[handle] == conn)
-        master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_LOST, .worker = handle});
+        master_feed(sim, &(struct sched_event){.type = SCHED_WORKER_AWAY, .worker = handle});
 }
 
 void master_event(struct sim *sim, const struct sim_event *e)

@@ -130,9 +130,31 @@ static void ready_all(struct rig *r, uint32_t from)
     }
 }
 
+static bool tells_of(const struct sched_join *join, uint64_t epoch)
+{
+    for (size_t i = 0; i < join->held_count; i++)
+        if (join->held[i].epoch == epoch)
+            return true;
+    return false;
+}
+
+/* A worker that joins has what it says, and no more. */
+static void note_join(struct rig *r, const struct sched_event *e)
+{
+    untell(r, e->worker, 0);
+    for (uint32_t i = 0; i < r->lease_count;) {
+        if (r->leases[i].worker == e->worker && !tells_of(&e->join, r->leases[i].epoch))
+            lease_drop(r, r->leases[i].epoch);
+        else
+            i++;
+    }
+}
+
 bool rig_feed(struct rig *r, const struct sched_event *e)
 {
     r->action_count = 0;
+    if (e->type == SCHED_WORKER_JOIN)
+        note_join(r, e);
     /* A lost worker says nothing; the rig must not wait for it either. */
     if (e->type == SCHED_WORKER_LOST || e->type == SCHED_WORKER_LEFT) {
         untell(r, e->worker, 0);

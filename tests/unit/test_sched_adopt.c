@@ -250,6 +250,168 @@ static void test_more_than_a_worker_can_hold(void **state)
     assert_int_equal(rig_winfo(&rig, 1).leases, 256);
 }
 
+/* --- A connection that breaks while the master lives -------------------------------------------
+ */
+
+/* Joins again with all of its leases that are out: the first `begun` of them begun. */
+static bool come_back(uint64_t worker, uint32_t threads, uint32_t begun)
+{
+    struct sched_held held[16];
+    uint32_t count = rig_held(&rig, worker);
+    assert_true(count <= 16);
+    for (uint32_t i = 0; i < count; i++) {
+        struct rig_lease l = rig_lease_of(&rig, worker, i);
+        held[i] = (struct sched_held){l.job, l.epoch, l.unit,
+                                      i < begun ? SCHED_HELD_BEGUN : SCHED_HELD_WAITING};
+    }
+    return join(worker, threads, held, count);
+}
+
+static void test_back_in_time_nothing_is_lost(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 40, 1));
+    assert_true(join(1, 1, NULL, 0));
+    uint32_t held = rig_held(&rig, 1);
+    struct rig_lease first = rig_lease_of(&rig, 1, 0);
+    assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+    assert_false(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+    rig_wait(&rig, 500);
+    assert_int_equal(rig_winfo(&rig, 1).leases, held);
+    assert_true(come_back(1, 1, 1));
+    assert_int_equal(rig_count(&rig, SCHED_OPEN_JOB), 1); /* told again */
+    assert_int_equal(rig_count(&rig, SCHED_REVOKE), 0);
+    assert_int_equal(rig_count(&rig, SCHED_WORKER_NEWS), 0);
+    assert_int_equal(rig_lease_of(&rig, 1, 0).epoch, first.epoch);
+    rig_wait(&rig, 2000); /* the end of its absence is forgotten */
+    assert_int_equal(rig_winfo(&rig, 1).state, SCHED_WORKER_BUSY);
+    assert_true(rig_finish(&rig, 1000) > 0);
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+    assert_int_equal(rig_info(&rig, 1).retried, 0);
+    assert_int_equal(rig_info(&rig, 1).compared, 0);
+    assert_int_equal(rig_winfo(&rig, 1).lost, 0);
+}
+
+/* The same process is back before its old connection is known to be dead. */
+static void test_back_before_it_was_missed(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 40, 1));
+    assert_true(join(1, 2, NULL, 0));
+    uint64_t epoch = rig_lease_of(&rig, 1, 0).epoch;
+    assert_true(come_back(1, 2, 2));
+    assert_int_equal(rig_count(&rig, SCHED_REVOKE), 0);
+    assert_int_equal(rig_lease_of(&rig, 1, 0).epoch, epoch);
+    assert_true(rig_finish(&rig, 1000) > 0);
+    assert_int_equal(rig_info(&rig, 1).retried, 0);
+    assert_int_equal(rig_winfo(&rig, 1).lost, 0);
+}
+
+static void test_what_was_lost_on_the_way_is_nobodys_fault(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 40, 1));
+    assert_true(join(1, 1, NULL, 0));
+    assert_int_equal(rig_held(&rig, 1), 3);
+    struct rig_lease kept = rig_lease_of(&rig, 1, 1), lost = rig_lease_of(&rig, 1, 0);
+    assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+    const struct sched_held held = {1, kept.epoch, kept.unit, SCHED_HELD_BEGUN};
+    assert_true(join(1, 1, &held, 1));
+    assert_int_equal(rig_count(&rig, SCHED_UNIT_LOST), 0);
+    assert_false(revoked(kept.epoch));
+    assert_true(leased(lost.unit.cell_begin)); /* anew */
+    assert_true(rig_finish(&rig, 1000) > 0);
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+    assert_int_equal(rig_info(&rig, 1).retried, 2);
+    assert_int_equal(rig_info(&rig, 1).compared, 0);
+}
+
+static void test_who_stays_away_is_lost(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 40, 1));
+    assert_true(join(1, 1, NULL, 0));
+    assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+    rig_wait(&rig, 599);
+    assert_int_equal(rig_count(&rig, SCHED_UNIT_LOST), 0);
+    rig_wait(&rig, 1);
+    assert_int_equal(rig_count(&rig, SCHED_UNIT_LOST), 1);
+    assert_int_equal(rig_find(&rig, SCHED_WORKER_NEWS)->state, SCHED_WORKER_GONE);
+    assert_int_equal(rig_find(&rig, SCHED_WORKER_NEWS)->losses, 3);
+    assert_int_equal(rig_winfo(&rig, 1).state, SCHED_WORKER_GONE);
+    assert_int_equal(rig_winfo(&rig, 1).leases, 0);
+}
+
+static void test_the_absent_get_nothing_and_the_idle_copy_them(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 6, 1));
+    assert_true(join(1, 1, NULL, 0));
+    assert_true(join(2, 1, NULL, 0));
+    assert_int_equal(rig_held(&rig, 1), 3);
+    assert_int_equal(rig_held(&rig, 2), 3);
+    assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+    assert_true(rig_add(&rig, 2, 10, 1));
+    assert_int_equal(rig_held(&rig, 1), 3);
+    while (rig_held(&rig, 2) > 0) { /* its own, then copies */
+        struct rig_lease l = rig_lease_of(&rig, 2, 0);
+        assert_true(rig_result(&rig, &l, 1000, 0));
+    }
+    assert_int_equal(rig_info(&rig, 2).state, SCHED_DONE);
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+    assert_int_equal(rig_info(&rig, 1).speculated, 3);
+    assert_int_equal(rig_info(&rig, 1).retried, 0);
+    assert_int_equal(rig_count(&rig, SCHED_REVOKE), 0); /* nobody is there to hear it */
+}
+
+/* A worker that comes back for ever and delivers nothing loses its units when their time is up. */
+static void test_coming_back_does_not_lengthen_a_lease(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 400, 1));
+    assert_true(join(1, 1, NULL, 0));
+    for (int i = 0; i < 3; i++) {
+        struct rig_lease l = rig_lease_of(&rig, 1, 0);
+        assert_true(rig_result(&rig, &l, 1000, 0)); /* its cost is known now */
+    }
+    uint64_t since_ms = rig.now_ms;
+    while (rig_winfo(&rig, 1).timeouts == 0 && rig.now_ms < since_ms + 60000) {
+        assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+        rig_wait(&rig, 400);
+        assert_true(come_back(1, 1, 1));
+    }
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 1);
+    assert_true(rig.now_ms - since_ms <= 20000 + 400);
+    assert_int_equal(rig_winfo(&rig, 1).state, SCHED_WORKER_BUSY);
+}
+
+/* Nor does it give more time to load a scene. */
+static void test_coming_back_does_not_lengthen_loading(void **state)
+{
+    (void)state;
+    rig.auto_ready = false;
+    assert_true(rig_add(&rig, 1, 40, 1));
+    assert_true(join(1, 1, NULL, 0));
+    uint64_t since_ms = rig.now_ms;
+    while (rig_winfo(&rig, 1).leases > 0 && rig.now_ms < since_ms + 700000) {
+        assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+        rig_wait(&rig, 500);
+        assert_true(come_back(1, 1, 0));
+    }
+    assert_true(rig.now_ms - since_ms <= 600000 + 500);
+}
+
+static void test_fewer_threads_than_before(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 40, 1));
+    assert_true(join(1, 4, NULL, 0));
+    assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 1));
+    assert_true(come_back(1, 1, 4));
+    assert_true(rig_finish(&rig, 1000) > 0);
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -263,6 +425,14 @@ int main(void)
         RIG_TEST(test_nothing_false_is_believed),
         RIG_TEST(test_a_liar_brings_nothing),
         RIG_TEST(test_more_than_a_worker_can_hold),
+        RIG_TEST(test_back_in_time_nothing_is_lost),
+        RIG_TEST(test_back_before_it_was_missed),
+        RIG_TEST(test_what_was_lost_on_the_way_is_nobodys_fault),
+        RIG_TEST(test_who_stays_away_is_lost),
+        RIG_TEST(test_the_absent_get_nothing_and_the_idle_copy_them),
+        RIG_TEST(test_coming_back_does_not_lengthen_a_lease),
+        RIG_TEST(test_coming_back_does_not_lengthen_loading),
+        RIG_TEST(test_fewer_threads_than_before),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -176,6 +176,19 @@ static void test_a_pause_goes_on_and_the_next_is_longer(void **state)
     assert_true(rig_held(&rig, 5) > 0);
 }
 
+/* Written down before somebody set the clock back by a day. */
+static void test_no_pause_outlasts_the_longest(void **state)
+{
+    (void)state;
+    assert_true(past(5, (struct sched_past){.pauses = 1, .until_ms = rig.now_ms + 86400000}));
+    assert_true(rig_add(&rig, 1, 20, 1));
+    assert_true(rig_join(&rig, 5, 1));
+    rig_wait(&rig, 119000);
+    assert_int_equal(rig_held(&rig, 5), 0);
+    rig_wait(&rig, 2000);
+    assert_true(rig_held(&rig, 5) > 0);
+}
+
 /* Simulation, seed 1001613: a unit that may only be rendered alone was leased to a worker that
  * hung, whose patience had doubled for every loss. */
 static void test_a_unit_alone_does_not_wait_for_a_hung_worker(void **state)
@@ -208,6 +221,7 @@ int main(void)
         RIG_TEST(test_a_check_is_told_before_its_result),
         RIG_TEST(test_a_liar_stays_out),
         RIG_TEST(test_a_pause_goes_on_and_the_next_is_longer),
+        RIG_TEST(test_no_pause_outlasts_the_longest),
         RIG_TEST(test_a_unit_alone_does_not_wait_for_a_hung_worker),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

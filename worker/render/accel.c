@@ -656,7 +656,9 @@ static void triangle_hit(const struct accel *a, const struct trace_ray *ray, con
         return;
     }
     struct exact_edges e;
-    exact_edges_of(ray, v, &e);
+    bool hit = exact_woop(ray, v, &e, &t);
+    TL_DASSERT(hit);
+    (void)hit;
     out->b1 = e.v / e.det;
     out->b2 = e.w / e.det;
 }

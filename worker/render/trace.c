@@ -71,10 +71,8 @@ bool trace_ray_init(const double org[3], const double dir[3], double outer, doub
     out->shear[0] = dir[x] / dir[z];
     out->shear[1] = dir[y] / dir[z];
     out->shear[2] = 1.0 / out->dir[z];
-    for (uint32_t k = 0; k < 3; k++) {
+    for (uint32_t k = 0; k < 3; k++)
         out->porg[k] = org[out->axis[k]];
-        out->pdir[k] = out->dir[out->axis[k]];
-    }
     double size = far + reach;
     out->slack = 0x1p-30 * size;
     for (int k = 0; k < 3; k++)

@@ -21,14 +21,14 @@ enum { TRACE_ROW = BVH_WIDTH * sizeof(float) };
 /* Arrays of four have an element of padding, for whole vectors to be stored. */
 struct trace_ray {
     double org[4], dir[4];
-    double porg[4], pdir[4]; /* permuted: the largest component of dir last */
-    double shear[4];         /* Woop's Sx, Sy, Sz */
+    double porg[4];  /* permuted: the largest component of dir last */
+    double shear[4]; /* Woop's Sx, Sy, Sz */
     float near_offset[4], far_offset[4], inverse[4]; /* t = plane * inverse - offset */
     float filter_org[4], filter_shear[4];            /* permuted; shear[3] is -shear[2] */
     uint32_t row[4];  /* bytes to the row of bvh_node.bounds with the near planes; those of the far
                          ones are TRACE_ROW bytes before or behind: row ^ TRACE_ROW */
     uint32_t axis[4]; /* what was permuted to where */
-    double slack;     /* by which a hit point may leave its triangle's box: 2^-30 R; less
+    double slack;     /* by which a hit point may lie beside its triangle: 2^-30 R; less
                          where an instance stretches */
     double rescale, unscale; /* what dir was scaled by here, and its inverse */
     double scale; /* dir = caller's direction * scale; caller's t = t * scale; a power of two */
@@ -61,7 +61,7 @@ enum { TRACE_ROOM = 4 };
 enum {
     TRACE_PAD = 9,
     TRACE_STRETCH_FAST = 8,
-    TRACE_PAD_FAST = TRACE_PAD + 32 * TRACE_STRETCH_FAST,
+    TRACE_PAD_FAST = TRACE_PAD + 48 * TRACE_STRETCH_FAST,
     TRACE_FAR_FAST = 1 << 12
 };
 

@@ -27,8 +27,9 @@ static inline double exact_abs(double a)
 /* Woop's edge functions: a triangle relative to the origin and sheared so that the
  * ray is the z axis. */
 struct exact_edges {
-    double rel[3][3]; /* vertex, then x, y, z of the permuted axes; not sheared */
-    double u, v, w;   /* weights of vertices 0, 1, 2 times det */
+    double rel[3][3];  /* vertex, then x, y, z of the permuted axes; not sheared */
+    double x[3], y[3]; /* sheared */
+    double u, v, w;    /* weights of vertices 0, 1, 2 times det */
     double det;
 };
 
@@ -36,7 +37,7 @@ struct exact_edges {
 static inline void exact_edges_permuted(const struct trace_ray *r, const float v[3][3],
                                         struct exact_edges *e)
 {
-    double x[3], y[3];
+    double *x = e->x, *y = e->y;
     for (int i = 0; i < 3; i++) {
         for (int k = 0; k < 3; k++)
             e->rel[i][k] = (double)v[i][k] - r->porg[k];
@@ -68,63 +69,92 @@ static inline double exact_depth(const struct exact_edges *e)
     return exact_min(exact_max(z, zmin), zmax);
 }
 
-/* Moves t into the slab [lo, hi] / d; d == 0 leaves it (the slab then holds the origin). */
-static inline double exact_slab_clamp(double t, double lo, double hi, double d)
+static inline bool exact_mixed(const struct exact_edges *e)
 {
-    if (d == 0.0)
-        return t;
-    double a = lo / d, b = hi / d;
-    return exact_min(exact_max(t, exact_min(a, b)), exact_max(a, b));
+    bool negative = e->u < 0.0 || e->v < 0.0 || e->w < 0.0;
+    bool positive = e->u > 0.0 || e->v > 0.0 || e->w > 0.0;
+    return negative && positive;
 }
 
-/* Is the point at t within the triangle's box across the ray, but for `slack`? */
-static inline bool exact_inside(const struct trace_ray *r, const struct exact_edges *e, double t,
-                                double slack)
+/* Is the point of the triangle that the weights make less than the slack beside the ray? It would
+ * be upon it if nothing were rounded. Not if det is 0. */
+static inline bool exact_near(const struct trace_ray *r, const struct exact_edges *e)
 {
-    bool inside = true;
-    for (int k = 0; k < 2; k++) {
-        double lo = exact_min(exact_min(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) - slack;
-        double hi = exact_max(exact_max(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) + slack;
-        double p = t * r->pdir[k];
-        inside = inside && p >= lo && p <= hi;
+    double size = r->slack * exact_abs(e->det);
+    double x = (e->u * e->x[0] + e->v * e->x[1]) + e->w * e->x[2];
+    double y = (e->u * e->y[0] + e->v * e->y[1]) + e->w * e->y[2];
+    return exact_abs(x) < size && exact_abs(y) < size;
+}
+
+/* a + b, and what rounding took from it. */
+static inline double exact_sum(double a, double b, double *rest)
+{
+    double sum = a + b, of_b = sum - a;
+    *rest = (a - (sum - of_b)) + (b - of_b);
+    return sum;
+}
+
+/* a * b, and what rounding took from it (Dekker, Numer. Math. 18, 1971). */
+static inline double exact_product(double a, double b, double *rest)
+{
+    const double half = 0x1p27 + 1.0;
+    double product = a * b, ca = half * a, cb = half * b;
+    double ah = ca - (ca - a), bh = cb - (cb - b), al = a - ah, bl = b - bh;
+    *rest = al * bl - (((product - ah * bh) - al * bh) - ah * bl);
+    return product;
+}
+
+/* a b - c d as a sum of four without error (Shewchuk, Discrete Comput. Geom. 18, 1997), rounded at
+ * last: the sign is right, and all but the last bits. */
+static inline double exact_cross(double a, double b, double c, double d)
+{
+    double ab_rest, cd_rest, rest, parts[4];
+    double ab = exact_product(a, b, &ab_rest), cd = exact_product(c, d, &cd_rest);
+    double middle = exact_sum(ab_rest, -cd_rest, &parts[0]);
+    double high = exact_sum(ab, middle, &rest);
+    middle = exact_sum(rest, -cd, &parts[1]);
+    parts[3] = exact_sum(high, middle, &parts[2]);
+    return ((parts[0] + parts[1]) + parts[2]) + parts[3];
+}
+
+/* Scales an axis by a power of two, which is in all three functions alike, so that no product of
+ * its coordinates loses bits for being small: a ray in a plane of the mesh, but for 2^-1050, sees
+ * such triangles. */
+static inline void exact_enlarge(double x[3])
+{
+    for (int step = 0; step < 2; step++) {
+        double most = exact_max(exact_max(exact_abs(x[0]), exact_abs(x[1])), exact_abs(x[2]));
+        for (int i = 0; i < 3 && most < 0x1p-400; i++)
+            x[i] *= 0x1p500;
     }
-    return inside;
 }
 
-/* The t of a triangle whose edge functions agree: its depth is held within its vertices'
- * depths and, where rounding threw the point out of the triangle's own (padded) box, as
- * it does for needles, t is moved back into the box. So t lies where any box around the
- * triangle says it can lie, whatever the tree. False if the line does not meet the box:
- * edge functions that vanish in rounding agree even where a line passes a degenerate
- * triangle by, in its plane. No closed surface leaks by that: the triangle that the ray
- * does cross is met within its box. */
-static inline bool exact_t(const struct trace_ray *r, const struct exact_edges *e, double *out)
+/* The same edge functions without their rounding, for where it decides: a ray all but in the plane
+ * of the triangle, or a needle. False if the line misses the sheared triangle, or sees it as a
+ * line. What is not a number misses. */
+static inline __attribute__((cold)) bool exact_weigh(struct exact_edges *e)
 {
-    double t = exact_depth(e) * r->shear[2];
-    *out = t;
-    if (exact_inside(r, e, t, r->slack))
-        return true;
-    for (int k = 0; k < 2; k++) {
-        double lo = exact_min(exact_min(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) - r->slack;
-        double hi = exact_max(exact_max(e->rel[0][k], e->rel[1][k]), e->rel[2][k]) + r->slack;
-        t = exact_slab_clamp(t, lo, hi, r->pdir[k]);
-    }
-    double zmin = exact_min(exact_min(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
-    double zmax = exact_max(exact_max(e->rel[0][2], e->rel[1][2]), e->rel[2][2]);
-    t = exact_slab_clamp(t, zmin, zmax, r->pdir[2]);
-    *out = t;
-    return exact_inside(r, e, t, 2.0 * r->slack);
+    double *x = e->x, *y = e->y;
+    exact_enlarge(x);
+    exact_enlarge(y);
+    e->u = exact_cross(x[2], y[1], y[2], x[1]);
+    e->v = exact_cross(x[0], y[2], y[0], x[2]);
+    e->w = exact_cross(x[1], y[0], y[1], x[0]);
+    e->det = (e->u + e->v) + e->w;
+    return !exact_mixed(e) && exact_abs(e->det) > 0.0;
 }
 
+/* t belongs to a point of the triangle within the slack: any box around any piece of the triangle
+ * that holds the point is met there, whatever the tree. No closed surface leaks by what is weighed
+ * again: the triangle that the ray does cross is one of those that are hit. */
 static inline bool exact_woop(const struct trace_ray *r, const float v[3][3], struct exact_edges *e,
                               double *t)
 {
     exact_edges_of(r, v, e);
-    bool negative = e->u < 0.0 || e->v < 0.0 || e->w < 0.0;
-    bool positive = e->u > 0.0 || e->v > 0.0 || e->w > 0.0;
-    if ((negative && positive) || e->det == 0.0)
+    if (exact_mixed(e) || (!exact_near(r, e) && !exact_weigh(e)))
         return false;
-    return exact_t(r, e, t);
+    *t = exact_depth(e) * r->shear[2];
+    return true;
 }
 
 /* The source report's test, as it stands: Moeller and Trumbore in double with an

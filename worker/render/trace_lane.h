@@ -2,8 +2,8 @@
  *
  * With AVX2 a vector holds an axis of the three vertices, so that the three edge
  * functions come out of one cross product; each lane performs the operations of
- * trace_exact.h in their order, so the bits are the same. Without AVX2, and where a hit
- * must be moved back into its triangle's box, trace_exact.h is called. Included by
+ * trace_exact.h in their order, so the bits are the same. Without AVX2, and where rounding
+ * decides, trace_exact.h is called. Included by
  * trace_leaf.h alone. Pure; any thread.
  */
 #ifndef WORKER_RENDER_TRACE_LANE_H
@@ -38,7 +38,8 @@ static inline bool lane_woop_scalar(const struct trace_ray *r, const struct bvh_
 
 /* exact_edges: lanes are vertices 0, 1, 2, but for the functions. The fourth is junk. */
 struct lane_edges {
-    d4 x, y, z;  /* relative, not sheared */
+    d4 x, y;     /* sheared */
+    d4 z;        /* relative */
     d4 wuv;      /* the edge functions of vertices 2, 0, 1 */
     __m128d sum; /* U z0 + V z1 + W z2; det */
 };
@@ -55,11 +56,11 @@ static inline d4 lane_axis(const struct trace_ray *r, const struct bvh_leaf *lea
 static inline void lane_edges_of(const struct trace_ray *r, const struct bvh_leaf *leaf,
                                  unsigned lane, struct lane_edges *e)
 {
-    e->x = lane_axis(r, leaf, lane, 0);
-    e->y = lane_axis(r, leaf, lane, 1);
     e->z = lane_axis(r, leaf, lane, 2);
-    d4 x = d4_sub(e->x, d4_mul(d4_splat(r->shear[0]), e->z));
-    d4 y = d4_sub(e->y, d4_mul(d4_splat(r->shear[1]), e->z));
+    d4 x = d4_sub(lane_axis(r, leaf, lane, 0), d4_mul(d4_splat(r->shear[0]), e->z));
+    d4 y = d4_sub(lane_axis(r, leaf, lane, 1), d4_mul(d4_splat(r->shear[1]), e->z));
+    e->x = x;
+    e->y = y;
     d4 x_next = _mm256_permute4x64_pd(x, _MM_SHUFFLE(3, 0, 2, 1));
     d4 y_next = _mm256_permute4x64_pd(y, _MM_SHUFFLE(3, 0, 2, 1));
     e->wuv = d4_sub(d4_mul(x_next, y), d4_mul(y_next, x));
@@ -84,17 +85,19 @@ static inline void lane_hit(const struct trace_ray *r, const struct lane_edges *
     out->det = _mm_cvtsd_f64(det);
 }
 
-/* exact_inside for a slack of the ray's. */
-static inline bool lane_inside(const struct trace_ray *r, const struct lane_edges *e, double t)
+/* exact_near */
+static inline bool lane_near(const struct trace_ray *r, const struct lane_edges *e)
 {
-    d4 xy02 = _mm256_unpacklo_pd(e->x, e->y);
-    __m128d v0 = _mm256_castpd256_pd128(xy02), v2 = _mm256_extractf128_pd(xy02, 1);
-    __m128d v1 = _mm_unpackhi_pd(_mm256_castpd256_pd128(e->x), _mm256_castpd256_pd128(e->y));
-    __m128d slack = _mm_set1_pd(r->slack);
-    __m128d low = _mm_sub_pd(_mm_min_pd(_mm_min_pd(v0, v1), v2), slack);
-    __m128d high = _mm_add_pd(_mm_max_pd(_mm_max_pd(v0, v1), v2), slack);
-    __m128d p = _mm_mul_pd(_mm_set1_pd(t), _mm_load_pd(r->pdir));
-    return _mm_movemask_pd(_mm_and_pd(_mm_cmpge_pd(p, low), _mm_cmple_pd(p, high))) == 3;
+    d4 x = d4_mul(e->wuv, _mm256_permute4x64_pd(e->x, _MM_SHUFFLE(3, 1, 0, 2)));
+    d4 y = d4_mul(e->wuv, _mm256_permute4x64_pd(e->y, _MM_SHUFFLE(3, 1, 0, 2)));
+    d4 first = _mm256_unpacklo_pd(x, y); /* of vertex 2 | of vertex 1 */
+    __m128d u = _mm_unpackhi_pd(_mm256_castpd256_pd128(x), _mm256_castpd256_pd128(y));
+    __m128d sum =
+        _mm_add_pd(_mm_add_pd(u, _mm256_extractf128_pd(first, 1)), _mm256_castpd256_pd128(first));
+    __m128d size = _mm_mul_pd(_mm_set1_pd(r->slack), _mm_unpackhi_pd(e->sum, e->sum));
+    const __m128d sign = _mm_set1_pd(-0.0);
+    __m128d less = _mm_cmplt_pd(_mm_andnot_pd(sign, sum), _mm_andnot_pd(sign, size));
+    return _mm_movemask_pd(less) == 3;
 }
 
 /* exact_woop */
@@ -109,12 +112,10 @@ static inline bool lane_woop(const struct trace_ray *r, const struct bvh_leaf *l
     if (negative && positive)
         return false;
     lane_hit(r, &e, out);
-    return __builtin_expect(out->det != 0.0 && lane_inside(r, &e, out->t), 1) ||
-           lane_woop_scalar(r, leaf, lane, out);
+    return __builtin_expect(lane_near(r, &e), 1) || lane_woop_scalar(r, leaf, lane, out);
 }
 
-/* The same for a lane that is certain to be accepted: then its point is within the box of
- * the triangle, and edge functions need no look at their signs. */
+/* The same for a lane that is certain to be accepted, and near if the slack is a whole one. */
 static inline void lane_certain(const struct trace_ray *r, const struct bvh_leaf *leaf,
                                 unsigned lane, struct leaf_hit *out)
 {

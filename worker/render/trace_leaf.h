@@ -46,7 +46,8 @@ struct leaf_edges {
     f4 agree;      /* positive: the least of their sizes, all of one sign; negative: mixed */
     f4 z[3], x, y; /* the vertices' depths; vertex 0 as the ray sees it */
 #ifdef TRACE_FAST
-    f4 beside; /* the largest |x| or |y| of the vertices as the ray sees them */
+    f4 next_x[2], next_y[2]; /* vertices 1 and 2 as the ray sees them */
+    f4 beside;               /* the largest |x| or |y| of all three */
 #endif
     float error; /* by what the functions may be wrong */
     float edge;  /* the largest extent of any of the triangles, rounded up */
@@ -86,6 +87,10 @@ static inline unsigned leaf_filter(const struct trace_ray *r, const struct bvh_l
     for (int i = 0; i < 3; i++)
         far[i] = _mm_max_ps(_mm_andnot_ps(sign, x[i]), _mm_andnot_ps(sign, y[i]));
     e->beside = _mm_max_ps(far[0], _mm_max_ps(far[1], far[2]));
+    for (int i = 0; i < 2; i++) {
+        e->next_x[i] = x[i + 1];
+        e->next_y[i] = y[i + 1];
+    }
 #endif
     e->x = x[0];
     e->y = y[0];

@@ -2,14 +2,14 @@
  *
  * Woop's test in float, nothing fused, so that its bits are the same in every kernel:
  * watertight by the same argument as in double. z is held within the vertices' depths; a
- * lane whose point then lies outside its triangle's box (padded by the ray's slack), or
- * whose det is 0, is decided in double. What is not within the segment by more than the
- * error bound of its t is not met: neither the surface a ray starts on nor the lamp it is
- * aimed at. Where that bound is coarse, for needles and along a surface, double decides. So
- * hits are a function of ray, segment, triangle and reach alone here too. A hit's weights are
- * float's: its point is on its triangle as closely as in double, but beside the ray. A ray whose
- * filter_slack is not a number comes from far away, or is in an instance that would stretch float's
- * errors: of it all that the filter leaves is decided in double.
+ * lane whose weights make a point farther from the ray than its slack, or whose det is 0, is
+ * decided in double. What is not within the segment by more than the error bound of its t is not
+ * met: neither the surface a ray starts on nor the lamp it is aimed at. Where that bound is coarse,
+ * for needles and along a surface, double decides. So hits are a function of ray, segment, triangle
+ * and reach alone here too. A hit's weights are float's: its point is on its triangle as closely as
+ * in double, but beside the ray. A ray whose filter_slack is not a number comes from far away, or
+ * is in an instance that would stretch float's errors: of it all that the filter leaves is decided
+ * in double.
  *
  * Included by trace_leaf.h alone. Pure; any thread. Bounds: docs/TRACING.md. Tests: test_accel.
  */
@@ -57,16 +57,15 @@ static inline f4 leaf_most(f4 a, f4 b, f4 c)
     return _mm_max_ps(_mm_max_ps(a, b), c);
 }
 
-/* Is z * shear within the extent of the relative coordinates along `axis`, but for slack? */
-static inline f4 leaf_within(const struct trace_ray *r, const struct bvh_leaf *leaf, int axis, f4 z)
+/* Is the point that the weights make within a slack of the ray? Not if det is 0. */
+static inline f4 leaf_near(const struct trace_ray *r, const struct leaf_edges *e, f4 det)
 {
-    uint32_t row = r->axis[axis];
-    f4 v0 = _mm_load_ps(leaf->v[0][row]), v1 = _mm_load_ps(leaf->v[1][row]);
-    f4 v2 = _mm_load_ps(leaf->v[2][row]), org = _mm_set1_ps(r->filter_org[axis]);
-    f4 slack = _mm_set1_ps(r->filter_slack), at = _mm_mul_ps(_mm_set1_ps(r->filter_shear[axis]), z);
-    f4 low = _mm_sub_ps(_mm_sub_ps(leaf_least(v0, v1, v2), org), slack);
-    f4 high = _mm_add_ps(_mm_sub_ps(leaf_most(v0, v1, v2), org), slack);
-    return _mm_and_ps(_mm_cmple_ps(low, at), _mm_cmple_ps(at, high));
+    f4 size = _mm_mul_ps(_mm_set1_ps(r->filter_slack), f4_abs(det));
+    f4 x = _mm_add_ps(_mm_mul_ps(e->u, e->x), _mm_mul_ps(e->v, e->next_x[0]));
+    f4 y = _mm_add_ps(_mm_mul_ps(e->u, e->y), _mm_mul_ps(e->v, e->next_y[0]));
+    x = _mm_add_ps(x, _mm_mul_ps(e->w, e->next_x[1]));
+    y = _mm_add_ps(y, _mm_mul_ps(e->w, e->next_y[1]));
+    return _mm_and_ps(f4_less_mask(f4_abs(x), size), f4_less_mask(f4_abs(y), size));
 }
 
 /* A bound of more slacks than this is coarse: 2^-16 R, for a depth. */
@@ -115,8 +114,7 @@ static inline bool leaf_decide_float(const struct trace_ray *r, const struct bvh
     f4 z = _mm_mul_ps(_mm_add_ps(sum, _mm_mul_ps(e.w, e.z[2])), inverse);
     f4 least = leaf_least(e.z[0], e.z[1], e.z[2]), most = leaf_most(e.z[0], e.z[1], e.z[2]);
     z = _mm_min_ps(_mm_max_ps(z, least), most);
-    f4 sound = _mm_and_ps(leaf_within(r, leaf, 0, z), leaf_within(r, leaf, 1, z));
-    sound = _mm_and_ps(sound, _mm_cmpneq_ps(det, zero));
+    f4 sound = leaf_near(r, &e, det);
     f4 shear = _mm_set1_ps(r->filter_shear[2]);
     f4 error = leaf_depth_error(r, &e, _mm_sub_ps(most, least), inverse);
     f4 coarse = f4_less_mask(_mm_set1_ps(FAST_SLACKS * r->filter_slack), error);

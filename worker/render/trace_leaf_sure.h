@@ -183,6 +183,16 @@ static inline bool pending_open(struct leaf_pending *p, const struct bvh_leaf *l
     return true;
 }
 
+/* A certain lane is near for sure if the slack is a whole one. */
+static inline bool pending_hit(const struct accel *a, const struct trace_ray *r, uint32_t object,
+                               const struct leaf_pending *p, struct leaf_hit *out)
+{
+    if (__builtin_expect(object != SCENE_NONE && a->motions[object].slack_share < 1.0, 0))
+        return lane_woop(r, p->leaf, p->lane, out);
+    lane_certain(r, p->leaf, p->lane, out);
+    return true;
+}
+
 static inline void pending_settle(const struct accel *a, const struct trace_ray *r, double tmin,
                                   uint32_t object, struct leaf_pending *p, struct trace_best *best)
 {
@@ -196,8 +206,8 @@ static inline void pending_settle(const struct accel *a, const struct trace_ray 
     if (!p->leaf)
         return;
     COUNT(decisions);
-    lane_certain(r, p->leaf, p->lane, &hit);
-    leaf_offer(a, &hit, tmin, object, p->leaf, p->lane, best);
+    if (pending_hit(a, r, object, p, &hit))
+        leaf_offer(a, &hit, tmin, object, p->leaf, p->lane, best);
     p->leaf = NULL;
 }
 
@@ -222,7 +232,7 @@ static inline void pending_settle_early(const struct accel *a, const struct trac
 static inline bool pending_same(const struct leaf_pending *p, const struct bvh_leaf *leaf,
                                 uint32_t lane)
 {
-    return p->leaf == leaf && (leaf->id[p->lane] ^ leaf->id[lane]) % BVH_PRIMITIVES_MAX == 0;
+    return (p->leaf->id[p->lane] ^ leaf->id[lane]) % BVH_PRIMITIVES_MAX == 0;
 }
 
 /* Four triangles against the best hit so far. */
@@ -249,7 +259,7 @@ static inline void leaf_closest(const struct accel *a, const struct trace_ray *r
     for (lanes = sure.inside; lanes; lanes &= lanes - 1) {
         unsigned lane = (unsigned)__builtin_ctz(lanes);
         if (p->leaf && !(high[lane] < p->low)) {
-            if (pending_same(p, leaf, lane)) /* a leaf's last triangle repeats */
+            if (pending_same(p, leaf, lane)) /* leaves' last ones repeat, as pieces do */
                 continue;
             pending_settle_early(a, r, s->tmin, object, p, best);
         }

@@ -124,7 +124,6 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct 
     _mm256_store_pd(out->org, org);
     _mm256_store_pd(out->dir, scaled);
     _mm256_store_pd(out->porg, porg);
-    _mm256_store_pd(out->pdir, pdir);
     _mm256_store_pd(out->shear, shear);
     _mm_store_si128((__m128i *)out->axis, _mm_load_si128((const __m128i *)ready_axis[z]));
     d4 far = d4_add(ready_largest(ready_abs(org)), d4_splat(reach));
