@@ -9,6 +9,7 @@
 #include "common/mem.h"
 #include "tests/render/stats.h"
 #include "worker/render/bsdf.h"
+#include "worker/render/gauss.h"
 #include "worker/render/sampler.h"
 #include "worker/render/warp.h"
 
@@ -296,12 +297,38 @@ static void test_t16_total_reflection(void **state)
     }
 }
 
+/* Against the C library's long doubles. */
+static void gauss_is_exact(void **state)
+{
+    (void)state;
+    enum { STEPS = 20000 };
+    for (int i = 0; i <= STEPS; i++) {
+        double x = 700.0 * i / STEPS, power = gauss_exp(-x);
+        assert_true(fabsl(power / expl(-(long double)x) - 1) < 5e-16L);
+        x = 6.6 * i / STEPS;
+        long double exact = erfcl(x) * expl((long double)x * x);
+        assert_true(fabsl(gauss_erfcx(x) / exact - 1) < 3e-15L);
+        double bell;
+        for (int sign = -1; sign <= 1; sign += 2) {
+            double below = gauss_below(sign * x, &bell);
+            exact = erfcl(-sign * (long double)x);
+            assert_true(fabsl(below - exact) < 1e-14L * exact);
+        }
+        assert_true(fabsl(bell / expl(-(long double)x * x) - 1) < 1e-14L);
+    }
+    assert_true(gauss_exp(0) == 1 && gauss_exp(-709) == 0 && gauss_exp(-(double)INFINITY) == 0);
+}
+
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_t18_chi2),        cmocka_unit_test(sample_agrees_with_eval),
-        cmocka_unit_test(test_t19_reciprocity), cmocka_unit_test(no_energy_is_made),
-        cmocka_unit_test(test_t15_snell),       cmocka_unit_test(test_t16_total_reflection),
+        cmocka_unit_test(gauss_is_exact),
+        cmocka_unit_test(test_t18_chi2),
+        cmocka_unit_test(sample_agrees_with_eval),
+        cmocka_unit_test(test_t19_reciprocity),
+        cmocka_unit_test(no_energy_is_made),
+        cmocka_unit_test(test_t15_snell),
+        cmocka_unit_test(test_t16_total_reflection),
     };
     return ROWS_RUN(argc, argv, tests);
 }

@@ -40,12 +40,27 @@ static double sphere_cap(const struct light *l, double distance2)
     return sin2 < 1 ? sin2 / (1 + sqrt(1 - sin2)) : 0;
 }
 
-/* A direction in the cone of the sphere, uniform in solid angle. */
-static bool sample_sphere(const struct light *l, vec3 p, double u, double v, struct light_sample *s)
+/* A sphere as p sees it; it serves as many samples as are drawn on it. */
+struct sphere_view {
+    uint32_t light; /* SCENE_NONE: of none yet */
+    double cap, distance2, distance;
+    frame towards; /* n is the direction of its centre */
+};
+
+static void sphere_view_of(const struct light *l, vec3 p, struct sphere_view *view)
 {
     vec3 d = v3_sub(l->v0, p);
-    double distance2 = v3_dot(d, d);
-    double cap = sphere_cap(l, distance2);
+    view->distance2 = v3_dot(d, d);
+    view->cap = sphere_cap(l, view->distance2);
+    view->distance = sqrt(view->distance2);
+    view->towards = frame_of(v3_scale(d, 1 / view->distance));
+}
+
+/* A direction in the cone of the sphere, uniform in solid angle. */
+static bool sample_sphere(const struct light *l, const struct sphere_view *view, vec3 p, double u,
+                          double v, struct light_sample *s)
+{
+    double cap = view->cap;
     if (!(cap > 0))
         return false;
     double x, y;
@@ -53,12 +68,11 @@ static bool sample_sphere(const struct light *l, vec3 p, double u, double v, str
     double below = (x * x + y * y) * cap; /* 1 - cos of the drawn angle */
     double wide = sqrt(cap * (2 - below));
     double sin2 = below * (2 - below);
-    double distance = sqrt(distance2);
-    frame f = frame_of(v3_scale(d, 1 / distance));
-    s->wi = v3_unit(frame_to_world(&f, v3(x * wide, y * wide, 1 - below)));
+    /* Of length 1: x^2 + y^2 times wide^2 is sin2. */
+    s->wi = frame_to_world(&view->towards, v3(x * wide, y * wide, 1 - below));
     /* Where it meets the sphere, brought back onto it. */
-    double half2 = l->radius * l->radius - distance2 * sin2;
-    double t = distance * (1 - below) - sqrt(half2 > 0 ? half2 : 0);
+    double half2 = l->radius * l->radius - view->distance2 * sin2;
+    double t = view->distance * (1 - below) - sqrt(half2 > 0 ? half2 : 0);
     vec3 n = v3_unit(v3_sub(v3_mad(p, s->wi, t), l->v0));
     s->target = v3_mad(l->v0, n, l->radius + l->error);
     s->pdf = 1 / (2 * VEC_PI * cap);
@@ -181,63 +195,82 @@ static bool sample_environment(const struct environment *e, vec3 n, double u, do
     return true;
 }
 
-/* Draws a light; SCENE_NONE if none sends anything to p. */
-static uint32_t choose_light(const struct light_table *t, vec3 p, vec3 n, double choose,
-                             double *probability)
+/* Draws lights by ascending choose[]; SCENE_NONE if none sends anything to p. */
+static void choose_lights(const struct light_table *t, vec3 p, vec3 n, uint32_t count,
+                          const double choose[], uint32_t lights[], double probabilities[])
 {
-    double rest = choose;
-    if (!t->tree.nodes) {
-        uint32_t index =
-            t->count == 1 ? 0 : (uint32_t)distribution_1d_sample(&t->choice, choose, &rest);
-        *probability = t->lights[index].probability;
-        return index;
+    double rest[LIGHT_TREE_DRAWS_MAX];
+    uint32_t in_tree = 0; /* the first so many fall on it */
+    for (uint32_t k = 0; k < count; k++) {
+        rest[k] = choose[k];
+        size_t which = 0;
+        if (t->tree.nodes ? t->placeless_count > 0 : t->count > 1)
+            which = distribution_1d_sample(&t->choice, choose[k], &rest[k]);
+        if (t->tree.nodes && which == 0) {
+            in_tree++;
+            continue;
+        }
+        lights[k] = t->tree.nodes ? t->placeless[which - 1] : (uint32_t)which;
+        probabilities[k] = t->lights[lights[k]].probability;
     }
-    size_t which = t->placeless_count ? distribution_1d_sample(&t->choice, choose, &rest) : 0;
-    if (which > 0) {
-        *probability = t->lights[t->placeless[which - 1]].probability;
-        return t->placeless[which - 1];
+    if (in_tree > 0)
+        light_tree_draw_many(&t->tree, p, n, in_tree, rest, lights, probabilities);
+    for (uint32_t k = 0; k < in_tree; k++)
+        probabilities[k] *= t->tree.probability;
+}
+
+/* A sample on a light; `view` is of the last sphere seen from p. */
+static bool sample_light(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double u,
+                         double v, struct sphere_view *view, struct light_sample *s)
+{
+    const struct light *l = &t->lights[index];
+    s->distant = s->delta = false;
+    switch (l->type) {
+    case LIGHT_TRIANGLE:
+    case LIGHT_QUAD:
+        return sample_area(l, p, u, v, s);
+    case LIGHT_SPHERE:
+        if (view->light != index)
+            sphere_view_of(l, p, view);
+        view->light = index;
+        return sample_sphere(l, view, p, u, v, s);
+    case LIGHT_POINT:
+    case LIGHT_SPOT:
+        return sample_point(l, p, s);
+    case LIGHT_DISTANT:
+        s->wi = v3_neg(l->n);
+        s->radiance = l->radiance;
+        s->pdf = 1;
+        return s->distant = s->delta = true;
+    case LIGHT_ENVIRONMENT:
+        return sample_environment(&t->environment, n, u, v, s);
     }
-    uint32_t index = light_tree_draw(&t->tree, p, n, rest, probability);
-    *probability *= t->tree.probability;
-    return index;
+    return false;
+}
+
+uint32_t light_sample_many(const struct light_table *t, vec3 p, vec3 n, uint32_t count,
+                           const double choose[], const double u[], const double v[],
+                           struct light_sample s[])
+{
+    uint32_t lights[LIGHT_TREE_DRAWS_MAX], there = 0;
+    double probabilities[LIGHT_TREE_DRAWS_MAX];
+    struct sphere_view view = {.light = SCENE_NONE};
+    if (t->count == 0)
+        return 0;
+    choose_lights(t, p, n, count, choose, lights, probabilities);
+    for (uint32_t k = 0; k < count; k++) {
+        if (lights[k] == SCENE_NONE || !sample_light(t, lights[k], p, n, u[k], v[k], &view, &s[k]))
+            continue;
+        s[k].pdf *= probabilities[k];
+        there |= 1u << k;
+    }
+    return there;
 }
 
 bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, double u, double v,
                   struct light_sample *s)
 {
-    if (t->count == 0)
-        return false;
-    double probability;
-    uint32_t index = choose_light(t, p, n, choose, &probability);
-    if (index == SCENE_NONE)
-        return false;
-    const struct light *l = &t->lights[index];
-    s->distant = s->delta = false;
-    bool any = false;
-    switch (l->type) {
-    case LIGHT_TRIANGLE:
-    case LIGHT_QUAD:
-        any = sample_area(l, p, u, v, s);
-        break;
-    case LIGHT_SPHERE:
-        any = sample_sphere(l, p, u, v, s);
-        break;
-    case LIGHT_POINT:
-    case LIGHT_SPOT:
-        any = sample_point(l, p, s);
-        break;
-    case LIGHT_DISTANT:
-        s->wi = v3_neg(l->n);
-        s->radiance = l->radiance;
-        s->pdf = 1;
-        any = s->distant = s->delta = true;
-        break;
-    case LIGHT_ENVIRONMENT:
-        any = sample_environment(&t->environment, n, u, v, s);
-        break;
-    }
-    s->pdf *= probability;
-    return any;
+    return light_sample_many(t, p, n, 1, &choose, &u, &v, s) != 0;
 }
 
 double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,

@@ -79,6 +79,12 @@ struct light_sample {
 bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, double u, double v,
                   struct light_sample *s);
 
+/* `count` of them at once, at most LIGHT_TREE_DRAWS_MAX: sample k has the bits that light_sample
+ * gives with choose[k], u[k] and v[k]. choose[] ascends. Bit k of the result: sample k is there. */
+uint32_t light_sample_many(const struct light_table *t, vec3 p, vec3 n, uint32_t count,
+                           const double choose[], const double u[], const double v[],
+                           struct light_sample s[]);
+
 /* Density with which light_sample from `p` and `n` draws the direction of a point at distance
  * squared `distance2` on light `index`, seen under the cosine `cos_light` > 0 at its own normal. */
 double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,

@@ -1,5 +1,7 @@
 #include "worker/render/light_tree.h"
 
+#include "common/err.h"
+
 /* Cosine and sine of an angle in [0, pi]. */
 struct angle {
     double cosine, sine;
@@ -31,8 +33,8 @@ static double importance(const struct light_node *m, vec3 p, vec3 n)
     /* From within the sphere its lights are in every direction. */
     if (!(distance2 > m->radius2))
         return m->radius2 > 0 ? m->intensity / m->radius2 : 0;
-    double inverse = 1 / sqrt(distance2), sin2 = m->radius2 / distance2;
-    struct angle wide = {sqrt(1 - sin2), sqrt(sin2)};
+    double inverse = 1 / sqrt(distance2), cos2 = 1 - m->radius2 * inverse * inverse;
+    struct angle wide = {sqrt(cos2 > 0 ? cos2 : 0), m->radius * inverse};
     double shining = 1, facing = 1;
     if (m->cos_o > -1) {
         struct angle off = angle_of(v3_dot(m->axis, d) * inverse);
@@ -47,7 +49,7 @@ static double importance(const struct light_node *m, vec3 p, vec3 n)
         if (!(facing > 0))
             return 0;
     }
-    return m->intensity * shining * facing / distance2;
+    return m->intensity * shining * facing * inverse * inverse;
 }
 
 /* The share of the first child of an inner node; below 0 where neither sends anything. */
@@ -59,22 +61,62 @@ static double first_share(const struct light_tree *t, uint32_t node, vec3 p, vec
     return sum > 0 ? first / sum : -1;
 }
 
-uint32_t light_tree_draw(const struct light_tree *t, vec3 p, vec3 n, double u, double *probability)
+/* The draws begin..end-1, all of which have come to `node`. */
+struct descent {
+    uint32_t node, begin, end;
+};
+
+/* Sends draws on to a child, whose share of [0,1) begins at `from`. */
+static void enter_child(double from, double share, uint32_t begin, uint32_t end, double u[],
+                        double probabilities[])
 {
     static const double below_one = 1.0 - 1.0 / 9007199254740992.0;
-    uint32_t node = 0;
-    *probability = 1;
-    while (t->nodes[node].right != 0) {
-        double share = first_share(t, node, p, n);
-        if (share < 0)
-            return UINT32_MAX;
-        bool first = u < share;
-        *probability *= first ? share : 1 - share;
-        u = first ? u / share : (u - share) / (1 - share);
-        u = u < below_one ? u : below_one;
-        node = first ? node + 1 : t->nodes[node].right;
+    for (uint32_t k = begin; k < end; k++) {
+        double inside = (u[k] - from) / share;
+        u[k] = inside < below_one ? inside : below_one;
+        probabilities[k] *= share;
     }
-    return t->nodes[node].light;
+}
+
+void light_tree_draw_many(const struct light_tree *t, vec3 p, vec3 n, uint32_t count,
+                          const double u[], uint32_t lights[], double probabilities[])
+{
+    struct descent waiting[LIGHT_TREE_DRAWS_MAX], at = {0, 0, count};
+    double rest[LIGHT_TREE_DRAWS_MAX];
+    uint32_t waiting_count = 0;
+    TL_DASSERT(count > 0 && count <= LIGHT_TREE_DRAWS_MAX);
+    for (uint32_t k = 0; k < count; k++) {
+        rest[k] = u[k];
+        probabilities[k] = 1;
+    }
+    for (;;) {
+        uint32_t right = t->nodes[at.node].right, split = at.begin;
+        double share = right ? first_share(t, at.node, p, n) : -1;
+        if (share < 0) {
+            for (uint32_t k = at.begin; k < at.end; k++)
+                lights[k] = right ? UINT32_MAX : t->nodes[at.node].light;
+            if (waiting_count == 0)
+                return;
+            at = waiting[--waiting_count];
+            continue;
+        }
+        while (split < at.end && rest[split] < share)
+            split++;
+        enter_child(0, share, at.begin, split, rest, probabilities);
+        enter_child(share, 1 - share, split, at.end, rest, probabilities);
+        struct descent first = {at.node + 1, at.begin, split}, second = {right, split, at.end};
+        bool both = split > at.begin && split < at.end;
+        if (both)
+            waiting[waiting_count++] = second;
+        at = split > at.begin ? first : second;
+    }
+}
+
+uint32_t light_tree_draw(const struct light_tree *t, vec3 p, vec3 n, double u, double *probability)
+{
+    uint32_t light;
+    light_tree_draw_many(t, p, n, 1, &u, &light, probability);
+    return light;
 }
 
 double light_tree_probability(const struct light_tree *t, uint32_t light, vec3 p, vec3 n)

@@ -21,7 +21,7 @@
 
 struct light_node {
     vec3 center; /* of the sphere about the lights */
-    double radius2;
+    double radius, radius2;
     vec3 axis;           /* of the cone of the lights' axes */
     double cos_o, sin_o; /* its half angle; cos_o -1: all directions */
     double cos_e;        /* nothing shines further from its own axis than this */
@@ -41,6 +41,12 @@ struct light_tree {
  * if n is zero; its index, or UINT32_MAX where none sends anything. *probability: with which u
  * uniform in [0,1) gives it. */
 uint32_t light_tree_draw(const struct light_tree *t, vec3 p, vec3 n, double u, double *probability);
+
+/* The same for several u in ascending order, at most LIGHT_TREE_DRAWS_MAX: each gets the bits that
+ * it gets alone, but what a node sends is worked out once. */
+enum { LIGHT_TREE_DRAWS_MAX = 8 };
+void light_tree_draw_many(const struct light_tree *t, vec3 p, vec3 n, uint32_t count,
+                          const double u[], uint32_t lights[], double probabilities[]);
 
 /* 0 for a light that is not in the tree. */
 double light_tree_probability(const struct light_tree *t, uint32_t light, vec3 p, vec3 n);

@@ -1,7 +1,11 @@
 #include "worker/render/microfacet.h"
 
 #include "common/dmath.h"
+#include "worker/render/gauss.h"
 #include "worker/render/warp.h"
+
+#define SQRT_PI     1.7724538509055160
+#define INV_SQRT_PI 0.56418958354775629
 
 double microfacet_d(const struct microfacet *mf, vec3 m)
 {
@@ -13,7 +17,7 @@ double microfacet_d(const struct microfacet *mf, vec3 m)
         double e = sx * sx + sy * sy + z2;
         return 1 / (VEC_PI * mf->ax * mf->ay * e * e);
     }
-    return dmath_exp(-(sx * sx + sy * sy) / z2) / (VEC_PI * mf->ax * mf->ay * z2 * z2);
+    return gauss_exp(-(sx * sx + sy * sy) / z2) / (VEC_PI * mf->ax * mf->ay * z2 * z2);
 }
 
 double microfacet_lambda(const struct microfacet *mf, vec3 w)
@@ -28,7 +32,7 @@ double microfacet_lambda(const struct microfacet *mf, vec3 w)
     /* Beyond this the two terms cancel to below the last place of 1 + lambda. */
     if (a > 6)
         return 0;
-    return 0.5 * (dmath_erf(a) - 1) + dmath_exp(-a * a) / (2 * a * sqrt(VEC_PI));
+    return 0.5 * gauss_exp(-a * a) * (INV_SQRT_PI / a - gauss_erfcx(a));
 }
 
 /* Dupuy and Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps", in the space where
@@ -78,37 +82,34 @@ static double erf_inverse_rough(double x)
 /* And to fourteen, by a Newton step. */
 static double erf_inverse(double x)
 {
-    double y = erf_inverse_rough(x);
-    return y - (dmath_erf(y) - x) * (0.5 * sqrt(VEC_PI)) * dmath_exp(y * y);
-}
-
-/* Unnormalised distribution function of the slope along the view, for roughness 1 and a view at
- * tangent tan_o = 1 / cot: the integral of (cot - x) exp(-x^2) below x, up to a common factor. */
-static double slope_cdf(double x, double cot)
-{
-    return cot * (1 + dmath_erf(x)) + dmath_exp(-x * x) / sqrt(VEC_PI);
+    double y = erf_inverse_rough(x), bell;
+    double error = gauss_below(y, &bell) - 1 - x;
+    return y - error * (0.5 * SQRT_PI) / bell;
 }
 
 /* Newton doubles the digits: behind a step of this size there is nothing left to do. */
 static const double SLOPE_STEP_MIN = 1e-6;
 
-/* The slope x in (-inf, cot) with slope_cdf(x) = u slope_cdf(cot): Newton kept within a shrinking
- * bracket. */
+/* The slope along the view, for roughness 1 and a view at tangent 1 / cot, that a share u of the
+ * visible ones lies below. Their distribution function is, up to a factor, that integral of
+ * (cot - x) exp(-x^2), cot (1 + erf x) + exp(-x^2) / sqrt(pi): inverted by Newton's method kept
+ * within a shrinking bracket. */
 static double sample_slope(double cot, double u)
 {
-    double target = u * slope_cdf(cot, cot);
-    double low = -6.5, high = cot < 6.5 ? cot : 6.5;
-    double x = erf_inverse_rough(u * (1 + dmath_erf(high)) - 1);
+    double low = -6.5, high = cot < 6.5 ? cot : 6.5, bell;
+    /* Beyond 6.5 nothing changes any more. */
+    double below = gauss_below(high, &bell);
+    double target = u * (cot * below + bell * INV_SQRT_PI);
+    double x = erf_inverse_rough(u * below - 1);
     for (int i = 0; i < 24; i++) {
         if (!(x > low && x < high))
             x = 0.5 * (low + high);
-        double error = slope_cdf(x, cot) - target;
+        double error = cot * gauss_below(x, &bell) + bell * INV_SQRT_PI - target;
         if (error > 0)
             high = x;
         else
             low = x;
-        double slope = 2 / sqrt(VEC_PI) * (cot - x) * dmath_exp(-x * x);
-        double step = error / slope;
+        double step = error / (2 * INV_SQRT_PI * (cot - x) * bell);
         x -= step;
         if (fabs(step) < SLOPE_STEP_MIN)
             return x;

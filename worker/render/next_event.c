@@ -1,5 +1,8 @@
 #include "worker/render/next_event.h"
 
+_Static_assert((int)NEXT_EVENT_CANDIDATES_MAX <= (int)LIGHT_TREE_DRAWS_MAX,
+               "light_sample_many draws them all");
+
 uint32_t next_event_count(const struct render_scene *scene, const struct material *m)
 {
     size_t lights = scene->lights.count;
@@ -16,26 +19,22 @@ vec3 next_event_side(const struct shade *at)
     return at->wo.z < 0 ? v3_neg(at->frame.n) : at->frame.n;
 }
 
-/* One candidate of `count`. */
-static bool draw_one(const struct render_scene *scene, const struct shade *at, uint32_t count,
-                     double choose, double u, double v, struct next_event *out)
+/* What a candidate, one of `count`, sends back along the path; black: nothing. */
+static rgb arriving(const struct render_scene *scene, const struct shade *at, uint32_t count,
+                    const struct light_sample *light)
 {
-    struct light_sample *light = &out->light;
-    if (!light_sample(&scene->lights, at->surface.p, next_event_side(at), choose, u, v, light))
-        return false;
     vec3 wi = frame_to_local(&at->frame, light->wi);
     if (!shade_is_consistent(at, light->wi, wi.z))
-        return false;
+        return rgb_grey(0);
     double pdf;
     rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
     if (rgb_is_black(f))
-        return false;
+        return f;
     double weight = shade_tilt_shadowing(at, light->wi, wi.z) / light->pdf;
     if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
         weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf)
                                  : next_event_weight(count * light->pdf, pdf);
-    out->arriving = rgb_scale(rgb_mul(f, light->radiance), weight);
-    return true;
+    return rgb_scale(rgb_mul(f, light->radiance), weight);
 }
 
 /* x + k a, wrapped into [0,1). */
@@ -45,34 +44,49 @@ static double turned(double x, uint32_t k, double a)
     return sum - (double)(uint32_t)sum;
 }
 
-bool next_event_draw(const struct render_scene *scene, const struct shade *at, uint32_t count,
-                     double choose, double keep, const double u[2], struct next_event *out)
+/* `count` samples of lights; bit k of the result: sample k is there. */
+static uint32_t draw_lights(const struct render_scene *scene, const struct shade *at,
+                            uint32_t count, double choose, const double u[2],
+                            struct light_sample lights[])
 {
     /* The powers of 1 / 1.3247..., whose multiples spread evenly over the square (Roberts 2018). */
     static const double TURN_U = 0.7548776662466927, TURN_V = 0.5698402909980532;
-    if (count == 1)
-        return draw_one(scene, at, 1, choose, u[0], u[1], out);
-    double sum = 0, kept = 0;
+    double chooses[NEXT_EVENT_CANDIDATES_MAX], us[NEXT_EVENT_CANDIDATES_MAX],
+        vs[NEXT_EVENT_CANDIDATES_MAX];
     for (uint32_t k = 0; k < count; k++) {
-        struct next_event one;
-        if (!draw_one(scene, at, count, (choose + k) / count, turned(u[0], k, TURN_U),
-                      turned(u[1], k, TURN_V), &one))
+        chooses[k] = (choose + k) / count;
+        us[k] = turned(u[0], k, TURN_U);
+        vs[k] = turned(u[1], k, TURN_V);
+    }
+    return light_sample_many(&scene->lights, at->surface.p, next_event_side(at), count, chooses, us,
+                             vs, lights);
+}
+
+bool next_event_draw(const struct render_scene *scene, const struct shade *at, uint32_t count,
+                     double choose, double keep, const double u[2], struct next_event *out)
+{
+    struct light_sample lights[NEXT_EVENT_CANDIDATES_MAX];
+    uint32_t there = draw_lights(scene, at, count, choose, u, lights), kept = 0;
+    double sum = 0, kept_brings = 0;
+    for (uint32_t k = 0; k < count; k++) {
+        rgb one = there >> k & 1 ? arriving(scene, at, count, &lights[k]) : rgb_grey(0);
+        double brings = rgb_luminance(one);
+        if (brings == 0)
             continue;
-        double brings = rgb_luminance(one.arriving);
         sum += brings;
+        /* What is no number is kept, to be counted. Within either part `keep` is uniform again. */
         double share = brings / sum;
-        if (!(share > 0))
-            continue;
-        /* Within either part `keep` is uniform again. */
-        bool takes = keep < share;
+        bool takes = !(keep >= share);
         keep = takes ? keep / share : (keep - share) / (1 - share);
         if (takes) {
-            *out = one;
-            kept = brings;
+            kept = k;
+            kept_brings = brings;
+            out->arriving = one;
         }
     }
-    if (!(kept > 0))
+    if (kept_brings == 0)
         return false;
-    out->arriving = rgb_scale(out->arriving, sum / (kept * count));
+    out->light = lights[kept];
+    out->arriving = rgb_scale(out->arriving, sum / (kept_brings * count));
     return true;
 }

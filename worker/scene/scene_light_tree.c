@@ -227,6 +227,7 @@ static void fill_node(struct light_node *n, const struct bounds *b)
     n->center = v3(0.5 * (b->low[0] + b->high[0]), 0.5 * (b->low[1] + b->high[1]),
                    0.5 * (b->low[2] + b->high[2]));
     n->radius2 = 0.25 * diagonal2(b);
+    n->radius = sqrt(n->radius2);
     n->axis = b->axis;
     n->cos_o = b->cos_o;
     n->sin_o = sqrt(1 - b->cos_o * b->cos_o);
