@@ -155,11 +155,12 @@ static void put_picture(const struct job_spec *s, struct buf *out)
 
 static void put_geometry(const struct facts *f, struct buf *out)
 {
-    char a[HUMAN_BYTES], b[HUMAN_BYTES];
-    human_count((double)f->triangles, a);
-    human_count((double)f->vertices, b);
-    buf_printf(out, "geometry  %s triangles, %s vertices, %llu spheres, %llu lights\n", a, b,
-               (unsigned long long)f->spheres, (unsigned long long)f->lights);
+    char a[HUMAN_BYTES], b[HUMAN_BYTES], c[HUMAN_BYTES], d[HUMAN_BYTES];
+    human_things((double)f->triangles, "triangle", "triangles", a);
+    human_things((double)f->vertices, "vertex", "vertices", b);
+    human_things((double)f->spheres, "sphere", "spheres", c);
+    human_things((double)f->lights, "light", "lights", d);
+    buf_printf(out, "geometry  %s, %s, %s, %s\n", a, b, c, d);
     if (f->triangles_drawn != f->triangles) {
         human_count((double)f->triangles_drawn, a);
         buf_printf(out, "          %s triangles with every instance counted\n", a);

@@ -12,11 +12,14 @@ static void tell_made(const struct cli *cli, const struct scene *s, const char *
     double triangles = 0;
     for (size_t i = 0; i < s->object_count; i++)
         triangles += s->meshes[s->objects[i].mesh].triangle_count;
-    char count[HUMAN_BYTES];
-    human_count(triangles, count);
-    cli_say(cli, "%s: %zu objects, %zu meshes, %s triangles, %zu materials, %zu pictures",
-            cli_safe(path), s->object_count, s->mesh_count, count, s->material_count,
-            s->image_count);
+    char text[5][HUMAN_BYTES];
+    human_things((double)s->object_count, "object", "objects", text[0]);
+    human_things((double)s->mesh_count, "mesh", "meshes", text[1]);
+    human_things(triangles, "triangle", "triangles", text[2]);
+    human_things((double)s->material_count, "material", "materials", text[3]);
+    human_things((double)s->image_count, "picture", "pictures", text[4]);
+    cli_say(cli, "%s: %s, %s, %s, %s, %s", cli_safe(path), text[0], text[1], text[2], text[3],
+            text[4]);
 }
 
 static int write_scene(const struct cli *cli, const struct import *im, const struct job_spec *spec)

@@ -108,6 +108,13 @@ void human_count(double count, char out[HUMAN_BYTES])
     out[used] = '\0';
 }
 
+void human_things(double count, const char *one, const char *more, char out[HUMAN_BYTES])
+{
+    human_count(count, out);
+    size_t used = strlen(out);
+    (void)snprintf(out + used, HUMAN_BYTES - used, " %s", count == 1 ? one : more);
+}
+
 void human_error(double v, char out[HUMAN_BYTES])
 {
     if (isnan(v))

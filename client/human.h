@@ -28,6 +28,9 @@ void human_bytes(double bytes, char out[HUMAN_BYTES]);
 /* "1,234,567". */
 void human_count(double count, char out[HUMAN_BYTES]);
 
+/* "1 mesh", "1,234 meshes". */
+void human_things(double count, const char *one, const char *more, char out[HUMAN_BYTES]);
+
 /* An error with three figures: "0.0210", "1.2e-05"; "-" for NaN. */
 void human_error(double v, char out[HUMAN_BYTES]);
 

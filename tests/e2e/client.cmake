@@ -6,4 +6,10 @@ if(TILERY_TESTS AND TARGET tilery AND TARGET tilery-master AND TARGET tilery-wor
       COMMAND ${TILERY_PYTEST_PYTHON} -m pytest -q -p no:cacheprovider
               ${PROJECT_SOURCE_DIR}/tests/e2e/test_e2e_${part}.py)
   endforeach()
+  tilery_script_test(e2e_docs LABEL e2e TIMEOUT 900
+    COMMAND ${TILERY_PYTEST_PYTHON} -m pytest -q -p no:cacheprovider
+            ${PROJECT_SOURCE_DIR}/tests/e2e/test_e2e_docs.py)
+  if(TILERY_SANITIZE)
+    set_tests_properties(e2e_docs PROPERTIES DISABLED TRUE) # minutes, and nothing of its own to find
+  endif()
 endif()

@@ -198,6 +198,10 @@ static void test_human(void **state)
     assert_string_equal(text, "3 h");
     human_count(1234567, text);
     assert_string_equal(text, "1,234,567");
+    human_things(1, "mesh", "meshes", text);
+    assert_string_equal(text, "1 mesh");
+    human_things(1234, "mesh", "meshes", text);
+    assert_string_equal(text, "1,234 meshes");
     human_count(12, text);
     assert_string_equal(text, "12");
     human_error(0.0000123, text);
