@@ -108,6 +108,55 @@ static void test_mixture_agrees(void **state)
     trace_scene_release(&s);
 }
 
+/* Turns a ray into one along an edge of a triangle, from beyond its end: in the triangle's plane,
+ * where rounding makes its edge functions noise; or from where they overflow. */
+static void along_edge(const struct trace_scene *s, uint64_t *seed, struct ray *ray)
+{
+    const struct accel_mesh *m = &s->views[0];
+    const uint32_t *v = &m->indices[3 * (size_t)(gen_random(seed) * m->triangle_count)];
+    double beyond = gen_random(seed) < 0.1 ? 1e160 : 1.0 + 2.0 * gen_random(seed);
+    double aside = gen_random(seed) < 0.5 ? 0.0 : 1e-15 * beyond;
+    for (size_t k = 0; k < 3; k++) {
+        double a = (double)m->positions[3 * v[0] + k], b = (double)m->positions[3 * v[1] + k];
+        ray->org[k] = a + beyond * (b - a) + aside * gen_random(seed);
+        ray->dir[k] = a - b;
+    }
+}
+
+/* Scenes of 1 to 34 triangles, in one object or the same in two, from round ones to needles:
+ * up to 32 lie in a table and are tested all at once, where the processor allows it. */
+static void test_few_triangles_agree(void **state)
+{
+    (void)state;
+    static const double widths[] = {0.4, 1e-3, 1e-7};
+    const size_t count = is_long ? 20000 : 400;
+    for (uint32_t n = 0; n < 51; n++) {
+        struct gen_mesh mesh;
+        struct trace_scene s;
+        struct accel_object twice[2] = {{.type = ACCEL_TRIANGLES}, {.type = ACCEL_TRIANGLES}};
+        uint64_t seed = 11 + n;
+        gen_mesh_init(&mesh);
+        assert_int_equal(gen_needles(&mesh, 1 + n / 3, 0.8, 0.9, widths[n % 3], n + 1), ERR_OK);
+        trace_scene_wrap(&s, &mesh);
+        s.input.objects = twice;
+        s.input.object_count = n % 2 ? 2 : 1;
+        struct ray *rays = make_rays(&s, count, 42 + n);
+        for (size_t i = 3; i < count; i += 4)
+            along_edge(&s, &seed, &rays[i]);
+        struct accel *brute = kit_build(&s.input, JOB_BUILDER_NONE, ACCEL_ISA_AUTO, NULL);
+        for (int i = 0; i < 3; i++) {
+            struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, isas[i], NULL);
+            bool few = a->triangle_first[a->object_count] <= FLAT_MAX;
+            assert_true((a->flat != NULL) == (few && strcmp(accel_isa_name(a), "sse2") != 0));
+            assert_int_equal(kit_differences(brute, a, rays, count), 0);
+            accel_free(a);
+        }
+        accel_free(brute);
+        mem_free(rays);
+        trace_scene_release(&s);
+    }
+}
+
 /* --- Precision fast ------------------------------------------------------------- */
 
 static struct accel *build_fast(const struct trace_scene *s, enum job_builder builder,
@@ -611,6 +660,7 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_scenes_agree),
         cmocka_unit_test(test_mixture_agrees),
+        cmocka_unit_test(test_few_triangles_agree),
         cmocka_unit_test(test_fast),
         cmocka_unit_test(test_fast_segments),
         cmocka_unit_test(test_fast_meets_not_itself),

@@ -463,6 +463,7 @@ static enum err build(struct accel *a, const struct accel_input *input,
         TL_TRY(trees_build(a, runner, from->plan));
     trees_link(a);
     slacks_share(a);
+    TL_TRY(accel_flat_make(a));
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;
     a->stats.sah_binary = a->scene_tree.sah_binary;
@@ -549,6 +550,7 @@ void accel_free(struct accel *a)
     for (size_t i = 0; a->mesh_trees && i < a->mesh_count; i++)
         bvh_release(&a->mesh_trees[i]);
     mem_free(a->mesh_trees);
+    mem_free(a->flat);
     mem_free(a->motions);
     mem_free(a->triangle_first);
     mem_free(a->objects);

@@ -26,11 +26,13 @@ struct trace_kernel {
                           size_t count, struct hit *hits);
     void (*occluded_batch)(const struct accel *a, const struct ray *rays, const uint8_t *active,
                            size_t count, uint8_t *occluded);
+    const struct trace_kernel *flat; /* for scenes that have a table; NULL: none */
 };
 
 extern const struct trace_kernel trace_plain, trace_sse2, trace_avx2, trace_avx512;
 extern const struct trace_kernel trace_sse2_compact, trace_avx2_compact, trace_avx512_compact;
 extern const struct trace_kernel trace_sse2_fast, trace_avx2_fast, trace_avx512_fast;
+extern const struct trace_kernel trace_avx2_flat, trace_avx512_flat;
 
 /* An instance's matrices by column, for whole vectors to be loaded. */
 struct accel_motion {
@@ -53,6 +55,20 @@ struct accel_lazy {
 #define ACCEL_UNBUILT  UINT32_C(0xffffffff)
 #define ACCEL_NOT_LAZY UINT32_C(0xfffffffb)
 
+/* The triangles of a scene that has few and nothing else, side by side: all of them are tested in
+ * less time than a tree takes to leave some out. Row i is triangle number i; rows from `count` on
+ * are points at the origin. The one behind the last answers for a ray that hits nothing. */
+enum { FLAT_MAX = 32 };
+
+struct accel_flat {
+    float filter[3][3][FLAT_MAX]; /* vertex, axis, triangle */
+    float edge[FLAT_MAX];         /* the triangle's largest extent, rounded up */
+    double v[FLAT_MAX + 1][3][4]; /* triangle, axis, vertex; the fourth: 2^-12 edge^2 */
+    double ng[FLAT_MAX + 1][4];   /* of its hits */
+    uint32_t object[FLAT_MAX + 1], primitive[FLAT_MAX + 1];
+    uint32_t count;
+} __attribute__((aligned(64)));
+
 struct accel {
     const struct trace_kernel *kernel;
     struct accel_options options;
@@ -63,7 +79,8 @@ struct accel {
     struct accel_motion *motions; /* object_count; set for instances; NULL if there are none */
     uint32_t *triangle_first;     /* object_count + 1: first number of an object's triangles */
     struct bvh scene_tree;
-    struct bvh *mesh_trees; /* mesh_count; empty unless instanced */
+    struct bvh *mesh_trees;  /* mesh_count; empty unless instanced */
+    struct accel_flat *flat; /* NULL: the scene's tree is walked */
     struct accel_stats stats;
     void *saved;             /* owned: what saved trees lie in; NULL: they were built */
     struct accel_lazy *lazy; /* NULL: all trees are built */
@@ -100,6 +117,9 @@ TL_NODISCARD enum err accel_trees_load(struct accel *a, void *data, size_t bytes
 
 /* No trees any more, and nothing freed: they lay in memory of another. */
 void accel_trees_forget(struct accel *a);
+
+/* Makes the table if the scene is one for it, and has the kernel use it. ERR_NOMEM. */
+TL_NODISCARD enum err accel_flat_make(struct accel *a);
 
 /* The object whose triangle has this number in the scene's tree. */
 static inline uint32_t accel_triangle_object(const struct accel *a, uint32_t number)

@@ -24,6 +24,11 @@ enum {
     INTERLEAVE_MIN = 1 << 16, /* bytes of a tree that does not stay in the innermost cache */
 };
 
+/* The kernel for few triangles that goes with this one. */
+#ifndef TRACE_FLAT
+#define TRACE_FLAT NULL
+#endif
+
 /* --- Boxes ---------------------------------------------------------------- */
 
 struct slabs {
@@ -709,5 +714,6 @@ static void kernel_occluded_batch(const struct accel *a, const struct ray *rays,
 }
 
 const struct trace_kernel TRACE_KERNEL = {
-    TRACE_NAME, kernel_closest, kernel_occluded, kernel_closest_batch, kernel_occluded_batch,
+    TRACE_NAME,           kernel_closest,        kernel_occluded,
+    kernel_closest_batch, kernel_occluded_batch, TRACE_FLAT,
 };

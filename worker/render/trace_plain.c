@@ -238,5 +238,5 @@ static void plain_occluded_batch(const struct accel *a, const struct ray *rays,
 }
 
 const struct trace_kernel trace_plain = {
-    "plain", plain_closest, plain_occluded, plain_closest_batch, plain_occluded_batch,
+    "plain", plain_closest, plain_occluded, plain_closest_batch, plain_occluded_batch, NULL,
 };

@@ -90,8 +90,10 @@ static inline void ready_slabs(struct trace_ray *out, f4 org, f4 dir, f4 pad_siz
     _mm_store_si128((__m128i *)out->row, _mm_add_epi32(back, low));
 }
 
-/* trace_ray_init for a finite org, whose fourth lane, as dir's, may hold anything. */
-static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct trace_ray *out)
+/* trace_ray_init for a finite org, whose fourth lane, as dir's, may hold anything. Without boxes:
+ * nothing that they, or what float is sure of, need. */
+static inline __attribute__((always_inline)) bool
+ready_ray(d4 org, d4 dir, double outer, double reach, bool boxes, struct trace_ray *out)
 {
     _Static_assert(offsetof(struct trace_ray, filter_slack) ==
                        offsetof(struct trace_ray, filter_slope) + sizeof(float),
@@ -137,6 +139,8 @@ static inline bool ready_ray(d4 org, d4 dir, double outer, double reach, struct 
     _mm_store_ps(out->filter_org, _mm256_cvtpd_ps(porg));
     f4 filter_shear = _mm256_cvtpd_ps(shear), sz = _mm_movehl_ps(filter_shear, filter_shear);
     _mm_store_ps(out->filter_shear, filter_shear);
+    if (!boxes)
+        return true;
     float steep = __builtin_fabsf(_mm_cvtss_f32(sz));
     out->filter_spread = 13.8f * steep;
     out->filter_depth = 2.0f * steep * _mm_cvtss_f32(slack);
@@ -152,7 +156,19 @@ static inline bool ready_scene_ray(const struct accel *a, const struct ray *ray,
                                    struct trace_ray *out, double *tmin, double *tmax)
 {
     if (!(ray->tmin < ray->tmax) ||
-        !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0, a->scene_tree.reach, out))
+        !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0, a->scene_tree.reach, true, out))
+        return false;
+    *tmin = ray->tmin * out->unscale;
+    *tmax = ray->tmax * out->unscale;
+    return true;
+}
+
+/* The same without what boxes are tested with. */
+static inline bool ready_boxless_ray(const struct accel *a, const struct ray *ray,
+                                     struct trace_ray *out, double *tmin, double *tmax)
+{
+    if (!(ray->tmin < ray->tmax) || !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0,
+                                               a->scene_tree.reach, false, out))
         return false;
     *tmin = ray->tmin * out->unscale;
     *tmax = ray->tmax * out->unscale;
@@ -170,7 +186,7 @@ static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
     org = d4_add(d4_add(org, d4_mul(z, d4_splat(p[2]))), _mm256_load_pd(from[3]));
     d4 dir = d4_add(d4_mul(x, d4_splat(v[0])), d4_mul(y, d4_splat(v[1])));
     dir = d4_add(dir, d4_mul(z, d4_splat(v[2])));
-    if (!ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, out))
+    if (!ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, true, out))
         return false;
     out->slack *= a->motions[object].slack_share;
     out->filter_slack *= a->motions[object].filter_share;

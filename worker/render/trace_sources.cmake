@@ -4,6 +4,7 @@
 set(trace_dir ${PROJECT_SOURCE_DIR}/worker/render)
 set(trace_sources
   ${trace_dir}/accel.c
+  ${trace_dir}/accel_flat.c
   ${trace_dir}/accel_lazy.c
   ${trace_dir}/accel_trees.c
   ${trace_dir}/bvh_build.c
@@ -16,9 +17,11 @@ set(trace_sources
   ${trace_dir}/trace_avx2.c
   ${trace_dir}/trace_avx2_compact.c
   ${trace_dir}/trace_avx2_fast.c
+  ${trace_dir}/trace_avx2_flat.c
   ${trace_dir}/trace_avx512.c
   ${trace_dir}/trace_avx512_compact.c
   ${trace_dir}/trace_avx512_fast.c
+  ${trace_dir}/trace_avx512_flat.c
   ${trace_dir}/trace_compress.c
   ${trace_dir}/trace_plain.c
   ${trace_dir}/trace_sse2.c
@@ -32,9 +35,10 @@ set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/trace.c ${trace_di
   COMPILE_OPTIONS "${trace_fast}")
 set_source_files_properties(${trace_dir}/bvh_split_avx2.c PROPERTIES COMPILE_OPTIONS -mavx2)
 set_source_files_properties(${trace_dir}/trace_avx2.c ${trace_dir}/trace_avx2_compact.c
-  ${trace_dir}/trace_avx2_fast.c PROPERTIES COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags}")
+  ${trace_dir}/trace_avx2_fast.c ${trace_dir}/trace_avx2_flat.c PROPERTIES
+  COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags}")
 set_source_files_properties(${trace_dir}/trace_avx512.c ${trace_dir}/trace_avx512_compact.c
-  ${trace_dir}/trace_avx512_fast.c PROPERTIES
+  ${trace_dir}/trace_avx512_fast.c ${trace_dir}/trace_avx512_flat.c PROPERTIES
   COMPILE_OPTIONS "${trace_fast};${trace_avx2_flags};-mavx512f;-mavx512vl")
 set_source_files_properties(${trace_dir}/sampler_sets_avx2.c PROPERTIES COMPILE_OPTIONS
   "${trace_fast};-mavx2")
