@@ -179,6 +179,7 @@ static void fetch_after(uv_work_t *request, int status)
         job->film = w->film;
         provenance_release(&job->provenance);
         job->provenance = w->at.provenance;
+        job->rec.totals = w->at.totals; /* of the same results as the film */
         job_plan_apply(job, job->film);
     } else if (!f->stopping)
         jobs_fail(f, job, e == ERR_NOMEM ? "out of memory" : "its checkpoint cannot be read");

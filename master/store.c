@@ -378,7 +378,8 @@ static void run_batch(struct store *s, struct op *first)
         op->result = e;
 }
 
-/* The film aside, synced and renamed; then the index forgets what it covers; then the files. */
+/* The film aside, synced and renamed; then the index forgets what it covers, and the job's row gets
+ * the numbers of the file, which nobody opens to tell of an ended job; then the files. */
 static enum err run_checkpoint(struct store *s, struct op *op)
 {
     TL_TRY(segments_make_folder(&s->segments, op->checkpoint.job));
@@ -392,6 +393,9 @@ static enum err run_checkpoint(struct store *s, struct op *op)
     e = store_db_begin(s->db);
     if (e == ERR_OK)
         e = store_db_cover(s->db, op->checkpoint.job, op->checkpoint.covered_sequence, &lowest);
+    if (e == ERR_OK)
+        e = store_db_put_numbers(s->db, op->checkpoint.job, &op->checkpoint.totals,
+                                 &op->checkpoint.stats);
     if (e == ERR_OK)
         e = store_db_commit(s->db);
     if (e != ERR_OK) {

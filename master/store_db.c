@@ -45,6 +45,7 @@ static const char schema[] =
     X(LOWEST, "SELECT min(segment) FROM unit WHERE job=?1 AND record IS NOT NULL")                 \
     X(DELETE_UNIT, "DELETE FROM unit WHERE job=?1 AND sequence=?2")                                \
     X(DELETE_JOB, "DELETE FROM job WHERE id=?1")                                                   \
+    X(PUT_NUMBERS, "UPDATE job SET numbers=?2 WHERE id=?1")                                        \
     X(PUT_FRAME, "INSERT OR REPLACE INTO frame VALUES(?1,?2,?3)")                                  \
     X(DELETE_FRAME, "DELETE FROM frame WHERE job=?1")                                              \
     X(DELETE_PLAN, "DELETE FROM value WHERE key='plan.'||?1")                                      \
@@ -233,6 +234,22 @@ enum err store_db_put_job(struct store_db *db, const struct job_record *job)
     bind_u64(db, STATEMENT_PUT_FRAME, 2, job->shot);
     bind_u64(db, STATEMENT_PUT_FRAME, 3, job->frame);
     return step(db, STATEMENT_PUT_FRAME);
+}
+
+enum err store_db_put_numbers(struct store_db *db, uint64_t job, const struct job_totals *totals,
+                              const struct job_stats *stats)
+{
+    struct buf numbers;
+    buf_init(&numbers);
+    job_numbers_put(&numbers, totals, stats);
+    enum err e = buf_status(&numbers);
+    if (e == ERR_OK) {
+        sqlite3_stmt *s = bind_u64(db, STATEMENT_PUT_NUMBERS, 1, job);
+        (void)sqlite3_bind_blob(s, 2, numbers.data, (int)numbers.bytes, SQLITE_STATIC);
+        e = step(db, STATEMENT_PUT_NUMBERS);
+    }
+    buf_release(&numbers);
+    return e;
 }
 
 enum err store_db_put_unit(struct store_db *db, const struct journal_result *r,

@@ -31,6 +31,10 @@ void store_db_rollback(struct store_db *db);
 TL_NODISCARD enum err store_db_put_job(struct store_db *db, const struct job_record *job);
 TL_NODISCARD enum err store_db_put_unit(struct store_db *db, const struct journal_result *r,
                                         const struct segment_place *place);
+/* Only the numbers of a job that is there. */
+TL_NODISCARD enum err store_db_put_numbers(struct store_db *db, uint64_t job,
+                                           const struct job_totals *totals,
+                                           const struct job_stats *stats);
 /* A run of cells starts again from nothing. */
 TL_NODISCARD enum err store_db_put_reset(struct store_db *db, uint64_t job, uint64_t sequence,
                                          uint32_t cell_begin, uint32_t cell_count);

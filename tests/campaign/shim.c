@@ -5,6 +5,7 @@
  *     ACTION  kill     SIGKILL before the step;  killed: after it
  *             torn     writes half of what was to be written, then SIGKILL
  *             ENOSPC, EIO, EMFILE, ENOMEM, EINTR   the step fails with this error
+ *             slow     the step takes 20 ms more
  *             count    nothing
  *     STEP    disk     write, pwrite, pwritev, fsync, fdatasync, ftruncate on regular files;
  * rename, mkdir, unlink alloc    malloc, calloc, realloc, aligned_alloc called from the program
@@ -34,7 +35,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum action { ACT_COUNT, ACT_KILL, ACT_KILLED, ACT_TORN, ACT_ERROR };
+enum action { ACT_COUNT, ACT_KILL, ACT_KILLED, ACT_TORN, ACT_ERROR, ACT_SLOW };
 enum step { STEP_NONE, STEP_DISK, STEP_ALLOC, STEP_LIBRARY };
 
 static enum action action;
@@ -74,10 +75,11 @@ static void parse(char *text)
         const char *name;
         enum action action;
         int error;
-    } actions[] = {
-        {"count", ACT_COUNT, 0},       {"kill", ACT_KILL, 0},         {"killed", ACT_KILLED, 0},
-        {"torn", ACT_TORN, 0},         {"ENOSPC", ACT_ERROR, ENOSPC}, {"EIO", ACT_ERROR, EIO},
-        {"EMFILE", ACT_ERROR, EMFILE}, {"ENOMEM", ACT_ERROR, ENOMEM}, {"EINTR", ACT_ERROR, EINTR}};
+    } actions[] = {{"count", ACT_COUNT, 0},       {"kill", ACT_KILL, 0},
+                   {"killed", ACT_KILLED, 0},     {"torn", ACT_TORN, 0},
+                   {"slow", ACT_SLOW, 0},         {"ENOSPC", ACT_ERROR, ENOSPC},
+                   {"EIO", ACT_ERROR, EIO},       {"EMFILE", ACT_ERROR, EMFILE},
+                   {"ENOMEM", ACT_ERROR, ENOMEM}, {"EINTR", ACT_ERROR, EINTR}};
     static const char *const names[] = {"", "disk", "alloc", "library"};
     char what[16], which[16];
     unsigned long n = 0, count = 1;
@@ -138,6 +140,8 @@ static bool step(enum step kind, bool *after)
         return false;
     if (action == ACT_KILL)
         (void)raise(SIGKILL);
+    if (action == ACT_SLOW)
+        (void)usleep(20000);
     *after = action == ACT_KILLED || action == ACT_TORN;
     if (action != ACT_ERROR)
         return false;

@@ -11,11 +11,14 @@ import pytest
 
 from farm import SEED_SCENE, SLOW, Farm, wait_until
 
+from scripted import SIDE, SPP, TILE, Scripted, honest, render_all
+
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "campaign"))
 # pylint: disable=wrong-import-position
 import kills  # noqa: E402
 import memory  # noqa: E402
 import network  # noqa: E402
+import orders  # noqa: E402
 import steps  # noqa: E402
 from common import TINY, golden_of, shim  # noqa: E402
 
@@ -30,6 +33,10 @@ def test_masters_killed_at_random():
     kills.kill_masters(9 if SLOW == 1 else 3, seed=5, options=QUICK)
 
 
+def test_orders_at_random():
+    orders.orders(60 if SLOW == 1 else 20, seed=5, options=QUICK, kill_share=0.05)
+
+
 def test_master_faulty_at_steps_of_its_disk():
     """From an empty folder to the end by SIGTERM there are some 200 steps."""
     steps.steps(67 if SLOW == 1 else 150, ("kill", "torn", "ENOSPC", "EIO"))
@@ -40,6 +47,31 @@ def test_slow_strangers():
     network.slow(150, rounds=1, load=("--size", "48x48", "--spp", 64), idle_s=4.0)
 
 
+
+
+def test_cancelled_while_results_are_stored(tmp_path):
+    """The disk is slow, so that results are on their way to it when the job is cancelled: they are
+    counted, and the next master knows of them, whether the job is tried again or not."""
+    with Farm(tmp_path) as farm:
+        farm.master.end()
+        farm.start_master(env=shim("slow:disk:1:0"))
+        job = farm.submit(SEED_SCENE, "--spp", SPP, "--size", f"{SIDE}x{SIDE}", "--tile", TILE)
+        peer = Scripted(farm, threads=8).welcome()
+        peer.send("JobReady", job=1)
+        for lease in [peer.lease() for _ in range(8)]:
+            fields, body = honest(lease)
+            peer.send("Result", body, **fields)
+        time.sleep(0.05)
+        assert farm.request("PATCH", f"/api/v1/jobs/{job}", {"state": "cancelled"})[0] == 200
+        wait_until(lambda: not list((farm.data / "jobs").rglob("seg-*")), "the last checkpoint")
+        before = farm.job(job)
+        farm.kill_master()
+        farm.start_master()
+        after = farm.job(job)
+        assert after["samples"] == before["samples"] and after["rays"] == before["rays"]
+        assert farm.cli("retry", job).returncode == 0
+        render_all(farm, Scripted(farm).welcome(), job)
+        assert farm.job(job)["samples"] == SIDE * SIDE * SPP
 
 
 @pytest.mark.parametrize("step_s", (3600, -3600))
