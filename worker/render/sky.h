@@ -21,8 +21,8 @@ enum {
     SKY_BLOCKS_ACROSS = 32,
     SKY_BLOCKS_DOWN = 16,
     SKY_BLOCKS = SKY_BLOCKS_ACROSS * SKY_BLOCKS_DOWN,
-    SKY_GRID =
-        17, /* normals along an edge of the unfolded octahedron; odd: the axes are among them */
+    /* Normals along an edge of the unfolded octahedron; odd: the axes are among them. */
+    SKY_GRID = 17,
     SKY_NORMALS = SKY_GRID * SKY_GRID,
     SKY_ANYWHERE = SKY_NORMALS, /* the table of surfaces that take light from all sides */
     SKY_TABLES = SKY_NORMALS + 1,

@@ -1,5 +1,7 @@
 #include "worker/render/texture.h"
 
+#include <emmintrin.h>
+
 #include "worker/render/srgb_table.h"
 
 /* Over which a checkerboard's slope is taken: half of it to either side, in its own space. */
@@ -31,11 +33,11 @@ size_t texture_level_texels(const struct texture_level *l)
     return l->tiles_across * tiles_down << (l->tile_shift[0] + l->tile_shift[1]);
 }
 
-void texture_texel(const struct texture_image *image, const struct texture_level *l, uint32_t x,
-                   uint32_t y, double c[4])
+static void texel_at(const struct texture_image *image, const struct texture_level *l, size_t place,
+                     double c[4])
 {
     uint32_t count = image->channel_count;
-    size_t at = texture_place(l, x, y) * count;
+    size_t at = place * count;
     c[3] = 1;
     if (image->format == SCENE_IMAGE_F32) {
         const float *p = (const float *)l->texels + at;
@@ -50,6 +52,12 @@ void texture_texel(const struct texture_image *image, const struct texture_level
     }
     if (count == 1)
         c[1] = c[2] = c[0];
+}
+
+void texture_texel(const struct texture_image *image, const struct texture_level *l, uint32_t x,
+                   uint32_t y, double c[4])
+{
+    texel_at(image, l, texture_place(l, x, y), c);
 }
 
 /* A texel index for any whole number, by the wrap mode. */
@@ -76,23 +84,67 @@ static void nearest(const struct texture *t, const struct texture_level *l, doub
                   wrap_index(y, l->height, t->wrap[1]), c);
 }
 
+/* The two texel indices about x, in texels from the first's middle, and how far it lies between
+ * them. */
+static double neighbours(double x, uint32_t size, enum scene_wrap wrap, uint32_t at[2])
+{
+    /* Within the level nothing wraps; most of what does repeats. */
+    if (x >= 0 && x < size - 1.0) {
+        at[0] = (uint32_t)x;
+        at[1] = at[0] + 1;
+        return x - at[0];
+    }
+    double below = floor_of(x);
+    if (wrap == SCENE_WRAP_REPEAT && fabs(x) < 1e9) {
+        int32_t i = (int32_t)below, n = (int32_t)size, r = i % n;
+        at[0] = (uint32_t)(r < 0 ? r + n : r);
+        at[1] = at[0] + 1 < size ? at[0] + 1 : 0;
+    } else {
+        at[0] = wrap_index(below, size, wrap);
+        at[1] = wrap_index(below + 1, size, wrap);
+    }
+    return x - below;
+}
+
+/* The weighted sum of four texels of three floats, two channels in one vector. */
+static void sum_f32x3(const float *texels, const size_t places[4], const double weights[4],
+                      double c[4])
+{
+    __m128d first = _mm_setzero_pd();
+    double third = 0;
+    for (int k = 0; k < 4; k++) {
+        const float *texel = texels + 3 * places[k];
+        __m128 two = _mm_castsi128_ps(_mm_loadl_epi64((const void *)texel));
+        first = _mm_add_pd(first, _mm_mul_pd(_mm_cvtps_pd(two), _mm_set1_pd(weights[k])));
+        third += (double)texel[2] * weights[k];
+    }
+    _mm_storeu_pd(c, first);
+    c[2] = third;
+    c[3] = 1;
+}
+
 static void bilinear(const struct texture *t, const struct texture_level *l, double s, double r,
                      double c[4])
 {
-    double x = s * l->width - 0.5, y = (1 - r) * l->height - 0.5;
-    double x0 = floor_of(x), y0 = floor_of(y);
-    double fx = x - x0, fy = y - y0;
+    const struct texture_image *image = t->image;
     uint32_t xs[2], ys[2];
-    for (int k = 0; k < 2; k++) {
-        xs[k] = wrap_index(x0 + k, l->width, t->wrap[0]);
-        ys[k] = wrap_index(y0 + k, l->height, t->wrap[1]);
+    double fx = neighbours(s * l->width - 0.5, l->width, t->wrap[0], xs);
+    double fy = neighbours((1 - r) * l->height - 0.5, l->height, t->wrap[1], ys);
+    size_t columns[2] = {texture_column(l, xs[0]), texture_column(l, xs[1])};
+    size_t rows[2] = {texture_row(l, ys[0]), texture_row(l, ys[1])};
+    const size_t places[4] = {columns[0] + rows[0], columns[1] + rows[0], columns[0] + rows[1],
+                              columns[1] + rows[1]};
+    const double weights[4] = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
+    if (image->format == SCENE_IMAGE_F32 && image->channel_count == 3) {
+        sum_f32x3(l->texels, places, weights, c);
+        return;
     }
     c[0] = c[1] = c[2] = c[3] = 0;
     for (int k = 0; k < 4; k++) {
-        double texel[4], w = (k & 1 ? fx : 1 - fx) * (k & 2 ? fy : 1 - fy);
-        texture_texel(t->image, l, xs[k & 1], ys[k >> 1], texel);
+        double texel[4];
+        texel_at(image, l, places[k], texel);
         for (int j = 0; j < 4; j++)
-            c[j] += texel[j] * w;
+            c[j] += texel[j] * weights[k];
     }
 }
 

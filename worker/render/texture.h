@@ -61,12 +61,23 @@ void texture_level_init(struct texture_level *l, uint32_t width, uint32_t height
 /* Texels that a level has room for: whole tiles. */
 size_t texture_level_texels(const struct texture_level *l);
 
-/* The place of a texel. x < width, y < height, row 0 at the top. */
-static inline size_t texture_place(const struct texture_level *l, uint32_t x, uint32_t y)
+/* What a column and a row add to the place of a texel. x < width, y < height, row 0 at the top. */
+static inline size_t texture_column(const struct texture_level *l, uint32_t x)
 {
     unsigned sx = l->tile_shift[0], sy = l->tile_shift[1];
-    size_t tile = (size_t)(y >> sy) * l->tiles_across + (x >> sx);
-    return (tile << (sx + sy)) + ((size_t)(y & ((1u << sy) - 1)) << sx) + (x & ((1u << sx) - 1));
+    return ((size_t)(x >> sx) << (sx + sy)) + (x & ((1u << sx) - 1));
+}
+
+static inline size_t texture_row(const struct texture_level *l, uint32_t y)
+{
+    unsigned sx = l->tile_shift[0], sy = l->tile_shift[1];
+    return ((size_t)(y >> sy) * l->tiles_across << (sx + sy)) +
+           ((size_t)(y & ((1u << sy) - 1)) << sx);
+}
+
+static inline size_t texture_place(const struct texture_level *l, uint32_t x, uint32_t y)
+{
+    return texture_column(l, x) + texture_row(l, y);
 }
 
 /* One texel, decoded to linear: c[0..2] colour (grey three times), c[3] the fourth channel, 1 when

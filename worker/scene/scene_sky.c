@@ -128,24 +128,18 @@ static void cumulate_rows(const struct sky_map *m, double *down)
 
 /* --- Blocks --------------------------------------------------------------- */
 
-static struct angle angle_of(double radians)
+/* An angle that reaches as far as the directions seen so far, and the unit direction b, from unit
+ * a. */
+static void reach(struct angle *angle, vec3 a, vec3 b)
 {
-    struct angle a;
-    dmath_sincos(radians, &a.sine, &a.cosine);
-    return a;
-}
-
-static double angle_between(vec3 a, vec3 b)
-{
-    return dmath_atan2(v3_length(v3_cross(a, b)), v3_dot(a, b));
-}
-
-/* The greater of an angle and that between two directions, with what bulges between the points of
- * an outline: for an outline of a sixteenth of a half circle less than a fiftieth of it. */
-static double reach(double angle, vec3 a, vec3 b)
-{
-    double other = 1.02 * angle_between(a, b);
-    return other > angle ? other : angle;
+    double cosine = v3_dot(a, b);
+    /* What bulges between the points of an outline: of one as short as a sixteenth of a half circle
+     * less than a fiftieth of the angle. */
+    cosine -= 0.03 * (1 - cosine * cosine);
+    if (!(cosine < angle->cosine))
+        return;
+    angle->cosine = cosine > -1 ? cosine : -1;
+    angle->sine = sqrt(1 - angle->cosine * angle->cosine);
 }
 
 static vec3 sky_direction(const struct environment *sky, double x, double y)
@@ -186,35 +180,52 @@ static struct block block_of(const struct environment *sky, const vec3 *columns,
         b.solid += sine * m->block_width;
     }
     b.middle = v3_scale(environment_to_scene(sky, moment), 1 / b.weight);
-    double radius = 0;
+    b.radius = (struct angle){.sine = 0, .cosine = 1};
+    vec3 unit = v3_unit(b.middle);
     for (int k = 0; k < 9; k++) {
         double x = left + (k % 3) * 0.5 * m->block_width, y = top + (k / 3) * 0.5 * m->block_height;
-        radius = reach(radius, sky_direction(sky, x, y), b.middle);
+        reach(&b.radius, sky_direction(sky, x, y), unit);
     }
-    b.radius = angle_of(radius);
     return b;
 }
 
 /* No normal of a table is further from its grid point n at x, y than this. */
 static struct angle table_radius(double x, double y, vec3 n)
 {
-    double half = 1.0 / (SKY_GRID - 1), radius = 0;
+    double half = 1.0 / (SKY_GRID - 1);
+    struct angle radius = {.sine = 0, .cosine = 1};
     for (int k = 0; k < 9; k++) {
         double nx = x + (k % 3 - 1) * half, ny = y + (k / 3 - 1) * half;
         if (fabs(nx) <= 1 && fabs(ny) <= 1)
-            radius = reach(radius, sky_unfolded(nx, ny), n);
+            reach(&radius, sky_unfolded(nx, ny), n);
     }
-    return angle_of(radius);
+    return radius;
 }
 
-/* The mean cosine of a block's light at normals about n: as if it spread evenly by the radii about
- * its mean, where that is above the horizon. 0 only if no normal sees any of the block. */
-static double mean_cosine(const struct block *b, vec3 n, const struct angle *radius)
+/* Sine of the sum of two angles, 1 if that is more than a right one. */
+static double sine_of_sum(const struct angle *a, const struct angle *b)
 {
-    double q = v3_dot(n, b->middle), spread = 1;
-    if (b->radius.cosine * radius->cosine > b->radius.sine * radius->sine)
-        spread = b->radius.sine * radius->cosine + b->radius.cosine * radius->sine;
-    return q >= spread ? q : q > -spread ? (q + spread) * (q + spread) / (4 * spread) : 0;
+    bool narrow = a->cosine * b->cosine > a->sine * b->sine;
+    return narrow ? a->sine * b->cosine + a->cosine * b->sine : 1;
+}
+
+/* The mean cosine of the light of each block at normals as far as `radius` from n: as if it spread
+ * evenly by the radii about its mean, where that is above the horizon. 0 only if no such normal
+ * sees any of the block. `widest`: the largest radius of a block. */
+static void mean_cosines(const struct block *blocks, const struct angle *widest, vec3 n,
+                         const struct angle *radius, double *out)
+{
+    double band = sine_of_sum(widest, radius);
+    for (uint32_t i = 0; i < SKY_BLOCKS; i++) {
+        double q = v3_dot(n, blocks[i].middle);
+        out[i] = q > 0 ? q : 0;
+        /* Far from the horizon most blocks lie to one side of it. */
+        if (fabs(q) >= band)
+            continue;
+        double spread = sine_of_sum(&blocks[i].radius, radius);
+        if (fabs(q) < spread)
+            out[i] = (q + spread) * (q + spread) / (4 * spread);
+    }
 }
 
 static void cumulate(const double *weights, uint32_t count, double *sums)
@@ -223,9 +234,12 @@ static void cumulate(const double *weights, uint32_t count, double *sums)
     for (uint32_t i = 0; i < count; i++)
         sum += weights[i];
     sums[0] = 0;
+    /* Where nothing is seen nothing is drawn. The last is 1 and no sum above it. */
+    double scale = sum > 0 ? 1 / sum : 0;
     for (uint32_t i = 0; i < count; i++) {
         running += weights[i];
-        sums[i + 1] = sum > 0 ? running / sum : (i + 1.0) / count;
+        double share = running * scale;
+        sums[i + 1] = running < sum && share < 1 ? share : 1;
     }
 }
 
@@ -265,9 +279,12 @@ static enum err choose_at_normals(const struct environment *sky, double compensa
         return ERR_NOMEM;
     }
     double cosines[SKY_BLOCKS];
+    struct angle widest = {.sine = 0, .cosine = 1};
     for (uint32_t i = 0; i < SKY_BLOCKS; i++) {
         blocks[i] = block_of(sky, columns, i % SKY_BLOCKS_ACROSS, i / SKY_BLOCKS_ACROSS);
         cosines[i] = 1;
+        if (blocks[i].radius.cosine < widest.cosine)
+            widest = blocks[i].radius;
     }
     choose_blocks(blocks, cosines, compensation, &choices[SKY_ANYWHERE]);
     for (uint32_t i = 0; i < SKY_NORMALS; i++) {
@@ -275,8 +292,7 @@ static enum err choose_at_normals(const struct environment *sky, double compensa
         double x = (i % SKY_GRID) * step - 1, y = (double)(i / SKY_GRID) * step - 1;
         vec3 n = sky_unfolded(x, y);
         struct angle radius = table_radius(x, y, n);
-        for (uint32_t k = 0; k < SKY_BLOCKS; k++)
-            cosines[k] = mean_cosine(&blocks[k], n, &radius);
+        mean_cosines(blocks, &widest, n, &radius, cosines);
         choose_blocks(blocks, cosines, compensation, &choices[i]);
     }
     mem_free(blocks);
