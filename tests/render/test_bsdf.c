@@ -8,7 +8,7 @@
 #include "common/dmath.h"
 #include "common/mem.h"
 #include "tests/render/stats.h"
-#include "worker/render/bsdf.h"
+#include "worker/render/conductor_parts.h"
 #include "worker/render/gauss.h"
 #include "worker/render/sampler.h"
 #include "worker/render/warp.h"
@@ -319,10 +319,76 @@ static void gauss_is_exact(void **state)
     assert_true(gauss_exp(0) == 1 && gauss_exp(-709) == 0 && gauss_exp(-(double)INFINITY) == 0);
 }
 
+/* bsdf_eval_many has the bits of bsdf_eval, from either side, whichever of them are asked for. */
+static void many_are_as_one(void **state)
+{
+    (void)state;
+    struct material materials[20];
+    size_t count = smooth_materials(materials);
+    uint64_t random = 21;
+    for (size_t i = 0; i < 400 * count; i++) {
+        struct material *m = &materials[i % count];
+        m->twosided = random_value(&random) < 0.5;
+        struct bsdf b = bsdf_of(m, (rgb){0.9, 0.5, 0.1});
+        vec3 wo = direction(2 * random_value(&random) - 1, random_value(&random)), wi[BSDF_MANY];
+        for (int k = 0; k < BSDF_MANY; k++)
+            wi[k] = direction(2 * random_value(&random) - 1, random_value(&random));
+        uint32_t mask = (uint32_t)(random_value(&random) * 256);
+        rgb f[BSDF_MANY];
+        double pdf[BSDF_MANY];
+        bsdf_eval_many(&b, wo, mask, wi, f, pdf);
+        for (int k = 0; k < BSDF_MANY; k++) {
+            if (!(mask >> k & 1))
+                continue;
+            double one_pdf;
+            rgb one = bsdf_eval(&b, wo, wi[k], &one_pdf);
+            assert_memory_equal(&one, &f[k], sizeof one);
+            assert_memory_equal(&one_pdf, &pdf[k], sizeof one_pdf);
+        }
+    }
+}
+
+/* So has the loop of each instruction set. */
+static void loops_are_equal(void **state)
+{
+    (void)state;
+    conductor_loop *loops[3] = {conductor_loop_sse2};
+    int loop_count = 1;
+    if (__builtin_cpu_supports("avx2"))
+        loops[loop_count++] = conductor_loop_avx2;
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl"))
+        loops[loop_count++] = conductor_loop_avx512;
+    uint64_t random = 4;
+    for (int i = 0; i < 4000; i++) {
+        struct conductor c = {.ax = 0.01 + random_value(&random),
+                              .ay = 0.01 + random_value(&random),
+                              .eta2 = {0.04, 0.8, 1.2},
+                              .k2 = {15, 6, 4},
+                              .wo = direction(random_value(&random), random_value(&random)),
+                              .reach = 0.3};
+        struct conductor_batch asked = {.pdf = {0}}, first;
+        for (int k = 0; k < BSDF_MANY; k++) {
+            vec3 wi = direction(2 * random_value(&random) - 1, random_value(&random));
+            asked.x[k] = wi.x;
+            asked.y[k] = wi.y;
+            asked.z[k] = wi.z;
+        }
+        for (int l = 0; l < loop_count; l++) {
+            struct conductor_batch batch = asked;
+            loops[l](&c, i % 2 ? SCENE_GGX : SCENE_BECKMANN, &batch);
+            if (l == 0)
+                first = batch;
+            assert_memory_equal(&batch, &first, sizeof batch);
+        }
+    }
+}
+
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(gauss_is_exact),
+        cmocka_unit_test(many_are_as_one),
+        cmocka_unit_test(loops_are_equal),
         cmocka_unit_test(test_t18_chi2),
         cmocka_unit_test(sample_agrees_with_eval),
         cmocka_unit_test(test_t19_reciprocity),

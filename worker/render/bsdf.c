@@ -122,6 +122,18 @@ rgb bsdf_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf)
     }
 }
 
+void bsdf_eval_many(const struct bsdf *b, vec3 wo, uint32_t mask, const vec3 wi[BSDF_MANY],
+                    rgb f[BSDF_MANY], double pdf[BSDF_MANY])
+{
+    if (b->material->type == SCENE_MATERIAL_ROUGH_CONDUCTOR && (mask & (mask - 1)) != 0) {
+        conductor_eval_many(b, wo, b->material->twosided && wo.z < 0, wi, f, pdf);
+        return;
+    }
+    for (uint32_t k = 0; k < BSDF_MANY; k++)
+        if (mask >> k & 1)
+            f[k] = bsdf_eval(b, wo, wi[k], &pdf[k]);
+}
+
 bool bsdf_sample(const struct bsdf *b, vec3 wo, const double u[3], struct bsdf_sample *s)
 {
     const struct material *m = b->material;

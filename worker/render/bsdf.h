@@ -87,6 +87,12 @@ struct bsdf_sample {
 /* f |cos(wi)|, and the pdf with which bsdf_sample draws wi. */
 rgb bsdf_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf);
 
+/* bsdf_eval of each wi whose bit is set in `mask`, the same bits, in vectors where the CPU has
+ * them. */
+enum { BSDF_MANY = 8 };
+void bsdf_eval_many(const struct bsdf *b, vec3 wo, uint32_t mask, const vec3 wi[BSDF_MANY],
+                    rgb f[BSDF_MANY], double pdf[BSDF_MANY]);
+
 /* Draws wi; false when there is none (absorbed). u[0], u[1] place the direction, u[2] chooses
  * the lobe. */
 bool bsdf_sample(const struct bsdf *b, vec3 wo, const double u[3], struct bsdf_sample *s);

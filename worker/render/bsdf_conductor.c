@@ -2,31 +2,7 @@
  * Owns nothing beyond the call; directions are local, the normal is +z. */
 #include "worker/render/bsdf_lobes.h"
 
-#include "worker/render/microfacet.h"
-
-/* Reflectance of a conductor with relative index eta and absorption k, one channel. */
-static double fresnel_conductor(double cosi, double eta, double k)
-{
-    double cos2 = cosi * cosi;
-    double sin2 = (1 - cosi) * (1 + cosi);
-    double eta2 = eta * eta, k2 = k * k;
-    double t0 = eta2 - k2 - sin2;
-    double a2b2 = sqrt(t0 * t0 + 4 * eta2 * k2);
-    double a = sqrt(0.5 * (a2b2 + t0 > 0 ? a2b2 + t0 : 0));
-    double t1 = a2b2 + cos2, t2 = 2 * cosi * a;
-    double rs = (t1 - t2) / (t1 + t2);
-    double t3 = cos2 * a2b2 + sin2 * sin2, t4 = t2 * sin2;
-    return 0.5 * rs * (1 + (t3 - t4) / (t3 + t4));
-}
-
-static rgb fresnel(const struct bsdf *b, double cosi)
-{
-    const struct material *m = b->material;
-    rgb f = {fresnel_conductor(cosi, m->conductor_eta.r, m->conductor_k.r),
-             fresnel_conductor(cosi, m->conductor_eta.g, m->conductor_k.g),
-             fresnel_conductor(cosi, m->conductor_eta.b, m->conductor_k.b)};
-    return rgb_mul(f, b->color);
-}
+#include "worker/render/conductor_parts.h"
 
 static struct microfacet facets(const struct bsdf *b)
 {
@@ -34,18 +10,63 @@ static struct microfacet facets(const struct bsdf *b)
     return (struct microfacet){m->distribution, m->alpha_x, m->alpha_y};
 }
 
+static struct conductor conductor_of(const struct bsdf *b, vec3 wo)
+{
+    const struct material *m = b->material;
+    struct microfacet mf = facets(b);
+    struct conductor c = {.ax = m->alpha_x, .ay = m->alpha_y, .wo = wo};
+    const double eta[3] = {m->conductor_eta.r, m->conductor_eta.g, m->conductor_eta.b};
+    const double k[3] = {m->conductor_k.r, m->conductor_k.g, m->conductor_k.b};
+    for (int i = 0; i < 3; i++) {
+        c.eta2[i] = eta[i] * eta[i];
+        c.k2[i] = k[i] * k[i];
+    }
+    c.reach = 1 / ((1 + microfacet_lambda(&mf, wo)) * 4 * wo.z);
+    return c;
+}
+
 rgb conductor_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf)
 {
     *pdf = 0;
     if (wo.z <= 0 || wi.z <= 0)
         return rgb_grey(0);
-    vec3 m = v3_unit(v3_add(wo, wi));
-    struct microfacet mf = facets(b);
-    double g1 = 1 / (1 + microfacet_lambda(&mf, wo));
-    *pdf = microfacet_d(&mf, m) * g1 / (4 * wo.z);
-    double cosm = v3_dot(wo, m);
-    double shadow = 1 / (1 + microfacet_lambda(&mf, wi));
-    return rgb_scale(fresnel(b, cosm < 1 ? cosm : 1), *pdf * shadow);
+    struct conductor c = conductor_of(b, wo);
+    double f[3];
+    /* The distribution is a constant in either. */
+    if (b->material->distribution == SCENE_GGX)
+        *pdf = conductor_value(&c, SCENE_GGX, wi, f);
+    else
+        *pdf = conductor_value(&c, SCENE_BECKMANN, wi, f);
+    return rgb_mul(rgb_of(f), b->color);
+}
+
+static conductor_loop *loop_of_cpu(void)
+{
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl"))
+        return conductor_loop_avx512;
+    return __builtin_cpu_supports("avx2") ? conductor_loop_avx2 : conductor_loop_sse2;
+}
+
+void conductor_eval_many(const struct bsdf *b, vec3 wo, bool flip, const vec3 wi[], rgb f[],
+                         double pdf[])
+{
+    double side = flip ? -1 : 1;
+    struct conductor_batch batch;
+    memset(pdf, 0, BSDF_MANY * sizeof *pdf);
+    memset(f, 0, BSDF_MANY * sizeof *f);
+    if (wo.z * side <= 0)
+        return;
+    struct conductor c = conductor_of(b, v3_scale(wo, side));
+    for (int i = 0; i < BSDF_MANY; i++) {
+        batch.x[i] = wi[i].x * side;
+        batch.y[i] = wi[i].y * side;
+        batch.z[i] = wi[i].z * side;
+    }
+    loop_of_cpu()(&c, b->material->distribution, &batch);
+    for (int i = 0; i < BSDF_MANY; i++) {
+        pdf[i] = batch.pdf[i];
+        f[i] = rgb_mul((rgb){batch.f[0][i], batch.f[1][i], batch.f[2][i]}, b->color);
+    }
 }
 
 bool conductor_sample(const struct bsdf *b, vec3 wo, const double u[3], struct bsdf_sample *s)

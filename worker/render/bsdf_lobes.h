@@ -9,6 +9,9 @@
 #include "worker/render/bsdf.h"
 
 rgb conductor_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf);
+/* Of BSDF_MANY wi at once, all finite; `flip` turns both sides. */
+void conductor_eval_many(const struct bsdf *b, vec3 wo, bool flip, const vec3 wi[], rgb f[],
+                         double pdf[]);
 bool conductor_sample(const struct bsdf *b, vec3 wo, const double u[3], struct bsdf_sample *s);
 
 rgb dielectric_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf);

@@ -1,38 +1,20 @@
 #include "worker/render/microfacet.h"
 
 #include "common/dmath.h"
-#include "worker/render/gauss.h"
+#include "worker/render/microfacet_parts.h"
 #include "worker/render/warp.h"
-
-#define SQRT_PI     1.7724538509055160
-#define INV_SQRT_PI 0.56418958354775629
 
 double microfacet_d(const struct microfacet *mf, vec3 m)
 {
-    double sx = m.x / mf->ax, sy = m.y / mf->ay;
-    double z2 = m.z * m.z;
-    if (!(z2 > 0))
-        return 0;
-    if (mf->distribution == SCENE_GGX) {
-        double e = sx * sx + sy * sy + z2;
-        return 1 / (VEC_PI * mf->ax * mf->ay * e * e);
-    }
-    return gauss_exp(-(sx * sx + sy * sy) / z2) / (VEC_PI * mf->ax * mf->ay * z2 * z2);
+    return mf->distribution == SCENE_GGX ? microfacet_part_d(SCENE_GGX, mf->ax, mf->ay, m)
+                                         : microfacet_part_d(SCENE_BECKMANN, mf->ax, mf->ay, m);
 }
 
 double microfacet_lambda(const struct microfacet *mf, vec3 w)
 {
-    double sx = w.x * mf->ax, sy = w.y * mf->ay;
-    double tan2 = (sx * sx + sy * sy) / (w.z * w.z);
-    if (tan2 == 0)
-        return 0;
-    if (mf->distribution == SCENE_GGX)
-        return (sqrt(1 + tan2) - 1) * 0.5;
-    double a = 1 / sqrt(tan2);
-    /* Beyond this the two terms cancel to below the last place of 1 + lambda. */
-    if (a > 6)
-        return 0;
-    return 0.5 * gauss_exp(-a * a) * (INV_SQRT_PI / a - gauss_erfcx(a));
+    return mf->distribution == SCENE_GGX
+               ? microfacet_part_lambda(SCENE_GGX, mf->ax, mf->ay, w)
+               : microfacet_part_lambda(SCENE_BECKMANN, mf->ax, mf->ay, w);
 }
 
 /* Dupuy and Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps", in the space where

@@ -2,6 +2,7 @@
 
 _Static_assert((int)NEXT_EVENT_CANDIDATES_MAX <= (int)LIGHT_TREE_DRAWS_MAX,
                "light_sample_many draws them all");
+_Static_assert((int)NEXT_EVENT_CANDIDATES_MAX == (int)BSDF_MANY, "bsdf_eval_many takes them all");
 
 uint32_t next_event_count(const struct render_scene *scene, const struct material *m)
 {
@@ -19,22 +20,31 @@ vec3 next_event_side(const struct shade *at)
     return at->wo.z < 0 ? v3_neg(at->frame.n) : at->frame.n;
 }
 
-/* What a candidate, one of `count`, sends back along the path; black: nothing. */
-static rgb arriving(const struct render_scene *scene, const struct shade *at, uint32_t count,
-                    const struct light_sample *light)
+/* What the candidates in `there`, of `count`, send back along the path; black: nothing. */
+static void weigh(const struct render_scene *scene, const struct shade *at, uint32_t count,
+                  uint32_t there, const struct light_sample lights[], rgb arriving[])
 {
-    vec3 wi = frame_to_local(&at->frame, light->wi);
-    if (!shade_is_consistent(at, light->wi, wi.z))
-        return rgb_grey(0);
-    double pdf;
-    rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
-    if (rgb_is_black(f))
-        return f;
-    double weight = shade_tilt_shadowing(at, light->wi, wi.z) / light->pdf;
-    if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
-        weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf)
-                                 : next_event_weight(count * light->pdf, pdf);
-    return rgb_scale(rgb_mul(f, light->radiance), weight);
+    vec3 wi[BSDF_MANY] = {{0}};
+    double pdf[BSDF_MANY];
+    for (uint32_t k = 0; k < count; k++) {
+        arriving[k] = rgb_grey(0);
+        if (there >> k & 1)
+            wi[k] = frame_to_local(&at->frame, lights[k].wi);
+        if (!(there >> k & 1) || !shade_is_consistent(at, lights[k].wi, wi[k].z))
+            there &= ~(1u << k);
+    }
+    rgb f[BSDF_MANY];
+    bsdf_eval_many(&at->bsdf, at->wo, there, wi, f, pdf);
+    for (uint32_t k = 0; k < count; k++) {
+        const struct light_sample *light = &lights[k];
+        if (!(there >> k & 1) || rgb_is_black(f[k]))
+            continue;
+        double weight = shade_tilt_shadowing(at, light->wi, wi[k].z) / light->pdf;
+        if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
+            weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf[k])
+                                     : next_event_weight(count * light->pdf, pdf[k]);
+        arriving[k] = rgb_scale(rgb_mul(f[k], light->radiance), weight);
+    }
 }
 
 /* x + k a, wrapped into [0,1). */
@@ -68,9 +78,10 @@ bool next_event_draw(const struct render_scene *scene, const struct shade *at, u
     struct light_sample lights[NEXT_EVENT_CANDIDATES_MAX];
     uint32_t there = draw_lights(scene, at, count, choose, u, lights), kept = 0;
     double sum = 0, kept_brings = 0;
+    rgb arriving[NEXT_EVENT_CANDIDATES_MAX];
+    weigh(scene, at, count, there, lights, arriving);
     for (uint32_t k = 0; k < count; k++) {
-        rgb one = there >> k & 1 ? arriving(scene, at, count, &lights[k]) : rgb_grey(0);
-        double brings = rgb_luminance(one);
+        double brings = rgb_luminance(arriving[k]);
         if (brings == 0)
             continue;
         sum += brings;
@@ -81,12 +92,11 @@ bool next_event_draw(const struct render_scene *scene, const struct shade *at, u
         if (takes) {
             kept = k;
             kept_brings = brings;
-            out->arriving = one;
         }
     }
     if (kept_brings == 0)
         return false;
     out->light = lights[kept];
-    out->arriving = rgb_scale(out->arriving, sum / (kept_brings * count));
+    out->arriving = rgb_scale(arriving[kept], sum / (kept_brings * count));
     return true;
 }
