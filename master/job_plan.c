@@ -28,9 +28,9 @@ static const double NEXT_POWER = 1.3;
 static const double GROWTH_MIN = 1.06, GROWTH_MAX = 4;
 /* What the next look should find, of what is needed. */
 static const double GROWTH_MARGIN = 1.02;
-/* Of the deviation, at every look: one-sided 96.4 % each. Looks are alike and most jobs look three
+/* Of the deviation, at every look: one-sided 98.2 % each. Looks are alike, and most jobs look three
  * or four times, so that all together err in well under 5 % of the claims. */
-static const double QUANTILE = 1.8;
+static const double QUANTILE = 2.1;
 /* Below this effective size the deviation is no measure of the doubt, and no claim is made. */
 static const double CLAIM_EFFECTIVE_MIN = 8;
 /* The estimate and the picture's own error scatter alike and independently. */
