@@ -14,28 +14,32 @@
 static const double QUANTILE = 1.2816;
 /* Before a pilot has been seen, error falls as samples to this power, +- its deviation: eight
  * scenes did 1 (independent samples) to 1.9 (stratified ones, smooth pictures). */
-static const double POWER = 1.3, POWER_SPREAD = 0.3;
-/* A straight line is a model: what is left of it, of the logarithm. */
-static const double ERROR_SPREAD = 0.12, TIME_SPREAD = 0.22, COST_SPREAD = 0.14;
+static const double POWER = 1.3, POWER_SPREAD = 0.35;
+/* A straight line is a model: what is left of it, of the logarithm. From a few samples to 16 errors
+ * fall otherwise than beyond. */
+static const double ERROR_SPREAD = 0.12, FEW_SPREAD = 0.8, TIME_SPREAD = 0.22, COST_SPREAD = 0.14;
 /* Others on the machine stretch times, and not evenly: so much of the stretch's logarithm. */
 static const double STRETCH_SPREAD = 0.06, STRETCH_COST_SPREAD = 0.06;
 /* On a farm whose processor time is not to be seen. */
 static const double STRETCH_UNKNOWN = 10;
 /* How many pilots' worth of belief that has against the scatter that is seen. */
 static const double TIME_BELIEF = 2;
-/* A stated error scatters by more than it states: few groups carry it. Measured. */
-static const double STATED_SPREAD = 0.35;
+/* A stated error scatters by more than it states. Measured. */
+static const double STATED_SPREAD = 0.12;
 /* A time limit: fewest samples of a pixel; what is not begun so long before is taken back
  * (job_plan.c), and the rest takes most of that; deviation in seconds and of the logarithm (limits
  * of 2 s took 1.56 to 1.76 s, of 10 s 9.6 to 10.9 s). */
 static const double SPP_LEAST = 4, LIMIT_EARLY_S = 0.3, LIMIT_SPREAD_S = 0.1, LIMIT_SPREAD = 0.03;
 static const double PIVOT_SPP = 16;
-/* What a claim costs: its upper bound must be under the target, and looks come in steps. */
-static const double CLAIM_FACTOR = 1.4;
+/* A claim, as job_plan.c makes it: its upper bound, of so many deviations, must be under the
+ * target; none is made while the deviation is more than the root of 1 / 8. Looks come in steps, so
+ * that the error is a little less than that asks for, and where it falls steeply more so.
+ * Measured. */
+static const double CLAIM_QUANTILE = 2.1 * 1.4142135623730951, CLAIM_EFFECTIVE_MIN = 8;
+static const double CLAIM_STEP = 1.08, CLAIM_SPREAD = 0.2;
+static const double STEEP_POWER = 1.2, STEEP_STEP = 0.4;
 /* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
 static const double PILOT_PIXELS_MAX = 512.0 * 512.0;
-/* Where a render to a target ends, of the target. */
-static const double CLAIM_ERROR = 0.75, CLAIM_SPREAD = 0.2;
 
 bool predict_wanted(const struct cli_line *line)
 {
@@ -59,7 +63,8 @@ struct error_fit predict_fit_error(const struct pilots *p)
         if (!(q->relmse > 0))
             continue;
         double doubt = q->deviation / q->relmse;
-        double w = 1 / (doubt * doubt + ERROR_SPREAD * ERROR_SPREAD);
+        double model = q->spp < PIVOT_SPP ? FEW_SPREAD : ERROR_SPREAD;
+        double w = 1 / (doubt * doubt + model * model);
         double x = -log(q->spp / PIVOT_SPP), y = log(q->relmse);
         w0 += w;
         w1 += w * x;
@@ -173,12 +178,37 @@ static double between_powers(double power)
     return exp(sum / STEPS);
 }
 
-/* Samples that a render to a target ends with, the pilot apart. */
-static double spp_for(const struct error_fit *f, double gain, double target)
+/* Relative deviation of what the render will state of its error: of pixels, of which it has more
+ * than a pilot that was shrunk. */
+static double stated_deviation(const struct pilots *p, const struct error_fit *error)
 {
-    if (!f->known)
-        return 0;
-    return PIVOT_SPP * exp((f->level + log(CLAIM_FACTOR * gain / target)) / f->power);
+    return error->noise / sqrt(p->pixel_ratio > 1 ? p->pixel_ratio : 1);
+}
+
+/* How far below the target the error must be, on average. */
+static double claim_of(const struct pilots *p, const struct error_fit *error)
+{
+    return CLAIM_STEP * exp(CLAIM_QUANTILE * stated_deviation(p, error));
+}
+
+/* Where a render to a target ends. */
+static double claimed_error(const struct pilots *p, const struct error_fit *error, double target)
+{
+    double steep = error->power > STEEP_POWER ? error->power - STEEP_POWER : 0;
+    return target / (claim_of(p, error) * (1 + STEEP_STEP * steep));
+}
+
+/* The pilot would make no claim, whatever its error. */
+static bool claims_nothing(const struct pilots *p, const struct error_fit *error)
+{
+    double deviation = stated_deviation(p, error);
+    return deviation * deviation * CLAIM_EFFECTIVE_MIN > 1;
+}
+
+/* Samples that reach an error, the pilot apart. */
+static double spp_for(const struct error_fit *f, double error)
+{
+    return f->known ? PIVOT_SPP * exp((f->level - log(error)) / f->power) : 0;
 }
 
 /* What a job will do, before its doubts. */
@@ -196,12 +226,12 @@ static struct course course_of(const struct pilots *p, const struct job_spec *sp
     struct course c = {.spp = max, .gain = 1};
     if (spec->stop == JOB_STOP_ERROR) {
         gain *= between_powers(error->power);
-        c.spp = spp_for(error, gain, spec->target_error);
+        c.spp = spp_for(error, spec->target_error / (claim_of(p, error) * gain));
         c.rendered = c.spp > PIVOT_SPP ? PIVOT_SPP : 0;
         c.spp = c.spp > PIVOT_SPP ? c.spp : PIVOT_SPP;
         c.gain = gain;
-        /* It makes no claim until the tail is gone: anywhere from here to the bound. */
-        if (p->heavy_tail && c.spp < max) {
+        /* It makes no claim until more pixels carry the error: anywhere from here to the bound. */
+        if (claims_nothing(p, error) && c.spp < max) {
             c.spread = log(max / c.spp) / (2 * QUANTILE);
             c.spp = sqrt(c.spp * max);
         }
@@ -238,9 +268,10 @@ struct prediction predict(const struct pilots *p, const struct job_spec *spec)
         double samples = hypot(doubt / error.power, course.spread);
         time_doubt = hypot(time_doubt, samples);
         cost_doubt = hypot(cost_doubt, samples);
-        if (!p->heavy_tail) {
-            out.relmse = CLAIM_ERROR * spec->target_error;
-            doubt = CLAIM_SPREAD;
+        if (!claims_nothing(p, &error)) {
+            double deviation = stated_deviation(p, &error);
+            out.relmse = claimed_error(p, &error, spec->target_error);
+            doubt = hypot(CLAIM_SPREAD, deviation);
         } else {
             doubt = hypot(doubt, error.power * course.spread);
         }
@@ -274,7 +305,7 @@ static void add_pilot(struct pilots *all, const struct json *report, double cpu_
                       .core_s = reply_number(report, "core_seconds", 0),
                       .cpu_s = cpu_s,
                       .relmse = reply_number(error, "relmse", 0)};
-    p.deviation = (high - p.relmse) / 1.96;
+    p.deviation = p.relmse > 0 ? p.relmse * log(high / p.relmse) / 1.96 : 0;
     if (all->count == 0)
         all->load_s = load_s; /* later ones find the scene there */
     all->heavy_tail = !heavy || heavy->type != JSON_BOOL || heavy->truth; /* the last, largest */
