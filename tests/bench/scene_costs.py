@@ -201,6 +201,27 @@ def start(bin_dir, folder):
           f"ms; processor time of all four processes, mean {1e3 * statistics.mean(cpu):.0f} ms")
 
 
+def million(bin_dir, folder):
+    """A mesh of a million triangles: the first pixel of two workers of one thread, and what one worker alone takes to build."""
+    scene = ball_scene(bin_dir, folder, 290)
+    first, build, cpu = [], [], []
+    for _ in range(RUNS // 2):
+        for alone in (False, True):
+            before, clock = os.times(), time.time()
+            run(bin_dir / "tilery", "render", scene, "-o", folder / "o.exr", "--spp", "1", "--size", "64x64", "--quiet",
+                "--report", folder / "r.json", "--workers", 1 if alone else 2, "--threads", 1)
+            after = os.times()
+            report = json.loads((folder / "r.json").read_text())
+            if alone:
+                build.append(report["seconds"]["build"])
+            else:
+                first.append(report["started"] - clock + report["seconds"]["first_result"])
+                cpu.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    print(f"\n`tilery render` of {12 * 290 * 290:,} triangles, two workers of one thread, of {len(first)} runs: first pixel at "
+          f"{min(first):.2f} s, median {statistics.median(first):.2f} s; processor time, median {statistics.median(cpu):.2f} s; "
+          f"one worker alone builds in {min(build):.2f} s, median {statistics.median(build):.2f} s")
+
+
 def main():
     bin_dir = pathlib.Path(sys.argv[1]).resolve()
     if len(sys.argv) > 2:
@@ -211,6 +232,7 @@ def main():
         rooms(bin_dir, folder)
         second_job(bin_dir, folder)
         start(bin_dir, folder)
+        million(bin_dir, folder)
 
 
 if __name__ == "__main__":
