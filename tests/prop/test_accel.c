@@ -123,38 +123,50 @@ static void along_edge(const struct trace_scene *s, uint64_t *seed, struct ray *
     }
 }
 
-/* Scenes of 1 to 34 triangles, in one object or the same in two, from round ones to needles:
- * up to 32 lie in a table and are tested all at once, where the processor allows it. */
+/* Scenes of 1 to 70 triangles, in one object or the same in two, from round ones to needles, some
+ * with spheres: up to 64 with two spheres lie in a table and are tested all at once, where the
+ * processor allows it. */
+static void check_few_triangles(uint32_t n, size_t count)
+{
+    static const double widths[] = {0.4, 1e-3, 1e-7};
+    struct gen_mesh mesh;
+    struct trace_scene s;
+    struct accel_object objects[5] = {
+        {.type = ACCEL_TRIANGLES},
+        {.type = ACCEL_SPHERE, .center = {0.3, 0.2, 0.1}, .radius = 0.25},
+        {.type = ACCEL_SPHERE, .center = {0.3, 0.2, 0.1}, .radius = 0.25},
+        {.type = ACCEL_SPHERE, .center = {-0.5, 0.9, 0.3}, .radius = 1e-3},
+        {.type = ACCEL_TRIANGLES},
+    };
+    uint64_t seed = 11 + n;
+    uint32_t spheres = n % 5 < 4 ? n % 5 : 0;
+    gen_mesh_init(&mesh);
+    assert_int_equal(gen_needles(&mesh, 1 + n / 3, 0.8, 0.9, widths[n % 3], n + 1), ERR_OK);
+    trace_scene_wrap(&s, &mesh);
+    objects[1 + spheres] = objects[4];
+    s.input.objects = objects;
+    s.input.object_count = 1 + spheres + n % 2;
+    struct ray *rays = make_rays(&s, count, 42 + n);
+    for (size_t i = 3; i < count; i += 4)
+        along_edge(&s, &seed, &rays[i]);
+    struct accel *brute = kit_build(&s.input, JOB_BUILDER_NONE, ACCEL_ISA_AUTO, NULL);
+    for (int i = 0; i < 3; i++) {
+        struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, isas[i], NULL);
+        bool few = (1 + n / 3) * (1 + n % 2) <= FLAT_MAX && spheres <= FLAT_SPHERES_MAX;
+        assert_true((a->flat != NULL) == (few && strcmp(accel_isa_name(a), "sse2") != 0));
+        assert_int_equal(kit_differences(brute, a, rays, count), 0);
+        accel_free(a);
+    }
+    accel_free(brute);
+    mem_free(rays);
+    trace_scene_release(&s);
+}
+
 static void test_few_triangles_agree(void **state)
 {
     (void)state;
-    static const double widths[] = {0.4, 1e-3, 1e-7};
-    const size_t count = is_long ? 20000 : 400;
-    for (uint32_t n = 0; n < 51; n++) {
-        struct gen_mesh mesh;
-        struct trace_scene s;
-        struct accel_object twice[2] = {{.type = ACCEL_TRIANGLES}, {.type = ACCEL_TRIANGLES}};
-        uint64_t seed = 11 + n;
-        gen_mesh_init(&mesh);
-        assert_int_equal(gen_needles(&mesh, 1 + n / 3, 0.8, 0.9, widths[n % 3], n + 1), ERR_OK);
-        trace_scene_wrap(&s, &mesh);
-        s.input.objects = twice;
-        s.input.object_count = n % 2 ? 2 : 1;
-        struct ray *rays = make_rays(&s, count, 42 + n);
-        for (size_t i = 3; i < count; i += 4)
-            along_edge(&s, &seed, &rays[i]);
-        struct accel *brute = kit_build(&s.input, JOB_BUILDER_NONE, ACCEL_ISA_AUTO, NULL);
-        for (int i = 0; i < 3; i++) {
-            struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, isas[i], NULL);
-            bool few = a->triangle_first[a->object_count] <= FLAT_MAX;
-            assert_true((a->flat != NULL) == (few && strcmp(accel_isa_name(a), "sse2") != 0));
-            assert_int_equal(kit_differences(brute, a, rays, count), 0);
-            accel_free(a);
-        }
-        accel_free(brute);
-        mem_free(rays);
-        trace_scene_release(&s);
-    }
+    for (uint32_t n = 0; n < 105; n++)
+        check_few_triangles(n, is_long ? 20000 : 240);
 }
 
 /* --- Precision fast ------------------------------------------------------------- */

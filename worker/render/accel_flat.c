@@ -44,14 +44,18 @@ static void flat_fill(struct accel_flat *f, uint32_t row, const struct accel_mes
 enum err accel_flat_make(struct accel *a)
 {
     uint32_t count = a->triangle_first[a->object_count], row = 0;
-    if (!a->kernel->flat || count == 0 || count > FLAT_MAX || a->lazy || a->stats.sphere_count ||
-        a->stats.instance_count)
+    if (!a->kernel->flat || count == 0 || count > FLAT_MAX || a->lazy ||
+        a->stats.sphere_count > FLAT_SPHERES_MAX || a->stats.instance_count)
         return ERR_OK;
     struct accel_flat *f = mem_alloc_aligned(sizeof *f, 64);
     if (!f)
         return ERR_NOMEM;
     memset(f, 0, sizeof *f);
     for (uint32_t i = 0; i < a->object_count; i++) {
+        if (a->objects[i].type == ACCEL_SPHERE) {
+            f->spheres[f->sphere_count++] = i;
+            continue;
+        }
         const struct accel_mesh *m = &a->meshes[a->objects[i].mesh];
         for (uint32_t k = 0; k < m->triangle_count; k++)
             flat_fill(f, row++, m, i, k);

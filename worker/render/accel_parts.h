@@ -55,10 +55,10 @@ struct accel_lazy {
 #define ACCEL_UNBUILT  UINT32_C(0xffffffff)
 #define ACCEL_NOT_LAZY UINT32_C(0xfffffffb)
 
-/* The triangles of a scene that has few and nothing else, side by side: all of them are tested in
- * less time than a tree takes to leave some out. Row i is triangle number i; rows from `count` on
- * are points at the origin. The one behind the last answers for a ray that hits nothing. */
-enum { FLAT_MAX = 32 };
+/* The triangles of a scene that has few, side by side: all of them are tested in less time than a
+ * tree takes to leave some out. Row i is triangle number i; rows from `count` on are points at the
+ * origin. The one behind the last answers for a ray that hits nothing. A few spheres come after. */
+enum { FLAT_MAX = 64, FLAT_SPHERES_MAX = 2 };
 
 struct accel_flat {
     float filter[3][3][FLAT_MAX]; /* vertex, axis, triangle */
@@ -67,6 +67,7 @@ struct accel_flat {
     double ng[FLAT_MAX + 1][4];   /* of its hits */
     uint32_t object[FLAT_MAX + 1], primitive[FLAT_MAX + 1];
     uint32_t count;
+    uint32_t sphere_count, spheres[FLAT_SPHERES_MAX]; /* their objects, in order */
 } __attribute__((aligned(64)));
 
 struct accel {

@@ -53,8 +53,8 @@ static inline uint64_t flat_filter(const struct accel_flat *f, const struct trac
     fw oz = FW(set1_ps)(r->filter_org[2]);
     fw sx = FW(set1_ps)(r->filter_shear[0]), sy = FW(set1_ps)(r->filter_shear[1]);
     fw slope = FW(set1_ps)(r->filter_slope), least_error = FW(set1_ps)(r->filter_floor);
-    uint32_t mixed = 0;
-    for (uint32_t at = 0; at < FLAT_MAX; at += FLAT_LANES) {
+    uint64_t mixed = 0;
+    for (uint32_t at = 0; at < f->count; at += FLAT_LANES) {
         fw x[3], y[3];
         for (int i = 0; i < 3; i++) {
             const float(*v)[FLAT_MAX] = f->filter[i];
@@ -67,9 +67,9 @@ static inline uint64_t flat_filter(const struct accel_flat *f, const struct trac
         fw w = FW(fmsub_ps)(x[1], y[0], FW(mul_ps)(y[1], x[0]));
         fw error = FW(fmadd_ps)(slope, FW(load_ps)(&f->edge[at]), least_error);
         fw least = FW(min_ps)(u, FW(min_ps)(v, w)), most = FW(max_ps)(u, FW(max_ps)(v, w));
-        mixed |= flat_mixed(least, most, error) << at;
+        mixed |= (uint64_t)flat_mixed(least, most, error) << at;
     }
-    return ~mixed & UINT32_MAX >> (FLAT_MAX - f->count);
+    return ~mixed & UINT64_MAX >> (FLAT_MAX - f->count);
 }
 
 /* --- In double --------------------------------------------------------------- */
@@ -86,15 +86,12 @@ struct flat_four {
  * which lanes are triangles. */
 static inline unsigned flat_take(uint64_t *left, uint32_t row[5])
 {
-    const uint64_t end = UINT64_C(1) << FLAT_MAX;
     unsigned count = (unsigned)__builtin_popcountll(*left);
     for (int i = 0; i < 4; i++) {
-        *left |= end;
-        row[i] = (uint32_t)__builtin_ctzll(*left);
+        row[i] = (uint32_t)_tzcnt_u64(*left); /* FLAT_MAX of nothing */
         *left &= *left - 1;
     }
     row[4] = FLAT_MAX;
-    *left &= end - 1;
     return 15u >> (4 - (count < 4 ? count : 4));
 }
 
@@ -184,10 +181,10 @@ static bool flat_woop(const struct accel_flat *f, const struct trace_ray *r, uin
     return exact_woop(r, v, e, t);
 }
 
-/* All that the filter left, one after the other. */
-static __attribute__((noinline)) void flat_closest_careful(const struct accel_flat *f,
-                                                           const struct trace_ray *r, double tmin,
-                                                           double tmax, struct hit *out)
+/* All that the filter left, one after the other; t, or tmax if none is hit. */
+static __attribute__((noinline)) double flat_closest_careful(const struct accel_flat *f,
+                                                             const struct trace_ray *r, double tmin,
+                                                             double tmax, struct hit *out)
 {
     out->object = SCENE_NONE;
     for (uint64_t left = flat_filter(f, r); left; left &= left - 1) {
@@ -204,6 +201,7 @@ static __attribute__((noinline)) void flat_closest_careful(const struct accel_fl
         out->object = f->object[row];
         out->primitive = f->primitive[row];
     }
+    return tmax;
 }
 
 static __attribute__((noinline)) bool
@@ -240,8 +238,9 @@ static inline double flat_hit(const struct accel_flat *f, const struct trace_ray
     return t[lane];
 }
 
-static inline void flat_closest(const struct accel_flat *f, const struct trace_ray *r, double tmin,
-                                double tmax, struct hit *out)
+/* The nearest of the triangles; t, or tmax if none is hit. */
+static inline double flat_closest(const struct accel_flat *f, const struct trace_ray *r,
+                                  double tmin, double tmax, struct hit *out)
 {
     uint64_t left = flat_filter(f, r);
     double end = tmax;
@@ -250,15 +249,14 @@ static inline void flat_closest(const struct accel_flat *f, const struct trace_r
         unsigned lanes = flat_take(&left, h.row);
         flat_decide(f, r, lanes, tmin, end, &h);
         if (__builtin_expect(h.careful, 0)) {
-            flat_closest_careful(f, r, tmin, tmax, out);
-            return;
+            return flat_closest_careful(f, r, tmin, tmax, out);
         }
         unsigned lane = flat_nearest(&h);
         double t = end;
         if (!found || lane < 4)
             t = flat_hit(f, r, &h, lane, out);
         if (__builtin_expect(left == 0, 1)) /* before anything asks what the ray met */
-            return;
+            return lane < 4 ? t : end;
         if (lane < 4) {
             found = true;
             end = t;
@@ -280,6 +278,43 @@ static inline bool flat_blocks(const struct accel_flat *f, const struct trace_ra
     return h.hit != 0;
 }
 
+/* --- Spheres -------------------------------------------------------------------- */
+
+/* Those of the table, after its triangles, of which *out has the nearest hit, at `end`. */
+static __attribute__((noinline)) void flat_spheres_closest(const struct accel *a,
+                                                           const struct trace_ray *r, double tmin,
+                                                           double tmax, double end, struct hit *out)
+{
+    for (uint32_t i = 0; i < a->flat->sphere_count; i++) {
+        uint32_t object = a->flat->spheres[i];
+        const struct accel_object *o = &a->objects[object];
+        double t;
+        if (!exact_sphere(r, o->center, o->radius, tmin, tmax, &t) || t > end)
+            continue;
+        if (t == end && object > out->object)
+            continue;
+        end = t;
+        out->t = t * r->scale;
+        out->b1 = out->b2 = 0.0;
+        for (int k = 0; k < 3; k++)
+            out->ng[k] = (r->org[k] - o->center[k]) + t * r->dir[k];
+        out->object = object;
+        out->primitive = 0;
+    }
+}
+
+static __attribute__((noinline)) bool
+flat_spheres_block(const struct accel *a, const struct trace_ray *r, double tmin, double tmax)
+{
+    for (uint32_t i = 0; i < a->flat->sphere_count; i++) {
+        const struct accel_object *o = &a->objects[a->flat->spheres[i]];
+        double t;
+        if (exact_sphere(r, o->center, o->radius, tmin, tmax, &t))
+            return true;
+    }
+    return false;
+}
+
 /* --- Calls --------------------------------------------------------------------- */
 
 static inline void flat_kernel_closest(const struct accel *a, const struct ray *ray,
@@ -287,18 +322,24 @@ static inline void flat_kernel_closest(const struct accel *a, const struct ray *
 {
     struct trace_ray ready;
     double tmin, tmax;
-    if (ready_boxless_ray(a, ray, &ready, &tmin, &tmax))
-        flat_closest(a->flat, &ready, tmin, tmax, out);
-    else
+    if (!ready_boxless_ray(a, ray, &ready, &tmin, &tmax)) {
         out->object = SCENE_NONE;
+        return;
+    }
+    double end = flat_closest(a->flat, &ready, tmin, tmax, out);
+    if (a->flat->sphere_count)
+        flat_spheres_closest(a, &ready, tmin, tmax, end, out);
 }
 
 static inline bool flat_kernel_occluded(const struct accel *a, const struct ray *ray)
 {
     struct trace_ray ready;
     double tmin, tmax;
-    return ready_boxless_ray(a, ray, &ready, &tmin, &tmax) &&
-           flat_blocks(a->flat, &ready, tmin, tmax);
+    if (!ready_boxless_ray(a, ray, &ready, &tmin, &tmax))
+        return false;
+    if (!a->flat->sphere_count)
+        return flat_blocks(a->flat, &ready, tmin, tmax);
+    return flat_spheres_block(a, &ready, tmin, tmax) || flat_blocks(a->flat, &ready, tmin, tmax);
 }
 
 static void flat_kernel_closest_batch(const struct accel *a, const struct ray *rays,
