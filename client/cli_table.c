@@ -222,7 +222,8 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                      .commands = LOOK_COMMANDS,
                      .choices = job_builder_names,
                      .choice_count = JOB_BUILDER_COUNT,
-                     .help = "tree over the triangles: sah, median, or none at all"},
+                     .help = "tree over the triangles: sah, median, sbvh (splits long triangles "
+                             "too), or none at all"},
     [CLI_INTERSECTOR] = {.name = "intersector",
                          .kind = CLI_CHOICE,
                          .argument = "NAME",

@@ -32,14 +32,14 @@ struct stats_interval study_gain(const struct study *s, const struct study_point
 
 static void take_setups_out(struct study *s)
 {
-    for (int i = 0; i < 2; i++)
+    for (int i = 0; i < JOB_BUILDER_NONE; i++)
         s->setups[i].median_s = s->own_farm && s->setups[i].count
                                     ? stats_median(s->setups[i].core_s, s->setups[i].count)
                                     : 0;
     for (uint32_t i = 0; i < s->point_count; i++) {
         struct study_point *p = &s->points[i];
         for (uint32_t k = 0; k < p->repeats; k++)
-            p->core_s[k] = fmax(p->spent_core_s[k] - s->setups[p->median_tree].median_s,
+            p->core_s[k] = fmax(p->spent_core_s[k] - s->setups[p->tree].median_s,
                                 CORE_SHARE_LEAST * p->spent_core_s[k]);
     }
 }

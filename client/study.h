@@ -56,13 +56,13 @@ struct study_point {
     char label[STUDY_TEXT_BYTES]; /* the knob's value */
     struct study_setting settings[STUDY_SETTINGS_MAX];
     uint32_t setting_count;
-    uint64_t spp;     /* most samples per pixel */
-    double work;      /* expected cost in base renders */
-    bool own;         /* the scene's own value of the knob: the base */
-    bool given_up;    /* it took far longer than expected, and is not tried again */
-    bool half;        /* the base's pictures, rounded to half floats; nothing is rendered */
-    uint64_t clamped; /* values that no half holds, of all repeats */
-    bool median_tree; /* its set-up cost is the other builder's */
+    uint64_t spp;          /* most samples per pixel */
+    double work;           /* expected cost in base renders */
+    bool own;              /* the scene's own value of the knob: the base */
+    bool given_up;         /* it took far longer than expected, and is not tried again */
+    bool half;             /* the base's pictures, rounded to half floats; nothing is rendered */
+    uint64_t clamped;      /* values that no half holds, of all repeats */
+    enum job_builder tree; /* whose set-up it pays for */
     /* Measured: */
     uint32_t repeats;
     double spent_core_s[STUDY_REPEATS_MAX]; /* as measured */
@@ -109,14 +109,14 @@ struct study {
     uint64_t lights;           /* of the scene: emitting triangles and spheres, and the others */
     bool own_farm;             /* core-seconds are CPU time of our workers; else as reported */
     bool interrupted;
-    /* Of a job besides its samples: reading the scene, building the tree; by builder, sah and
-     * median. Measured again in each round, since machines get busier; medians by study_evaluate.
+    /* Of a job besides its samples: reading the scene, building the tree; by builder but none.
+     * Measured again in each round, since machines get busier; medians by study_evaluate.
      */
     struct {
         double core_s[STATS_MEDIAN_MAX];
         uint32_t count;
         double median_s; /* 0 on a named farm, whose reports leave it out */
-    } setups[2];
+    } setups[JOB_BUILDER_NONE];
     uint32_t render_count;
     struct study_truth truth;
     struct study_point points[STUDY_POINTS_MAX];

@@ -214,7 +214,8 @@ void study_plan_points(struct study *s, const struct job_spec *spec)
     add_choices(s, KNOB_BUILDER, CLI_BUILDER, job_builder_names, JOB_BUILDER_NONE,
                 (int)spec->builder);
     for (uint32_t i = before; i < s->point_count; i++)
-        s->points[i].median_tree = strcmp(s->points[i].label, "median") == 0;
+        s->points[i].tree = (enum job_builder)job_choice_find(job_builder_names, JOB_BUILDER_NONE,
+                                                              s->points[i].label);
     add_tiles(s, spec);
     struct study_point *half = add(s, KNOB_OUTPUT, CLI_SPP, "half");
     half->setting_count = 0;

@@ -176,8 +176,9 @@ void study_preset_point(struct study *s, enum study_level level)
     (void)snprintf(p->label, sizeof p->label, "%s", study_level_names[level]);
     for (uint32_t i = 0; i < preset->setting_count; i++) {
         study_point_set(p, preset->settings[i].option, preset->settings[i].text);
-        p->median_tree |= preset->settings[i].option == CLI_BUILDER &&
-                          strcmp(preset->settings[i].text, "median") == 0;
+        if (preset->settings[i].option == CLI_BUILDER)
+            p->tree = (enum job_builder)job_choice_find(job_builder_names, JOB_BUILDER_NONE,
+                                                        preset->settings[i].text);
     }
     preset->point = (int32_t)s->point_count++;
 }

@@ -92,18 +92,19 @@ static int render(struct run *r, const struct study_setting *settings, uint32_t 
 /* --- Pilot ------------------------------------------------------------------ */
 
 /* What a job costs besides its samples: one pixel of one sample. Adds to *wall_s. */
-static int measure_setup(struct run *r, bool median, double *wall_s)
+static int measure_setup(struct run *r, enum job_builder tree, double *wall_s)
 {
     struct study_setting settings[3] = {{CLI_SPP, "1"}, {CLI_CROP_XYWH, "0,0,1,1"}};
     struct study_render one;
-    uint32_t *count = &r->s->setups[median].count;
-    settings[2] = (struct study_setting){CLI_BUILDER, "median"};
+    uint32_t *count = &r->s->setups[tree].count;
+    settings[2].option = CLI_BUILDER;
+    (void)snprintf(settings[2].text, sizeof settings[2].text, "%s", job_builder_names[tree]);
     if (*count >= STATS_MEDIAN_MAX)
         return EXIT_DONE;
-    int status = study_farm_render(r->f, settings, median ? 3 : 2, &one);
+    int status = study_farm_render(r->f, settings, tree == JOB_BUILDER_SAH ? 2 : 3, &one);
     if (status != EXIT_DONE)
         return status;
-    r->s->setups[median].core_s[(*count)++] = one.core_s;
+    r->s->setups[tree].core_s[(*count)++] = one.core_s;
     *wall_s += one.wall_s;
     mem_free(one.rgb);
     return EXIT_DONE;
@@ -139,9 +140,10 @@ static int run_pilot(struct run *r, const struct job_spec *spec, struct study_pi
 {
     int status = EXIT_DONE;
     double wall_s = 0;
-    for (int i = 0; i < 2 * SETUP_REPEATS && status == EXIT_DONE; i++)
-        status = measure_setup(r, i % 2 == 1, &wall_s);
-    pilot->overhead_s = wall_s / (2 * SETUP_REPEATS);
+    const int count = JOB_BUILDER_NONE * SETUP_REPEATS;
+    for (int i = 0; i < count && status == EXIT_DONE; i++)
+        status = measure_setup(r, (enum job_builder)(i % JOB_BUILDER_NONE), &wall_s);
+    pilot->overhead_s = wall_s / count;
     return status == EXIT_DONE ? measure_speed(r, spec, pilot) : status;
 }
 
@@ -287,8 +289,10 @@ static int round_setup(struct run *r, double until_s)
 {
     double ignored = 0;
     bool late = follow_now_s() + r->wall_s[r->s->base] > until_s;
-    int status = late ? EXIT_DONE : measure_setup(r, false, &ignored);
-    return status == EXIT_DONE && !late ? measure_setup(r, true, &ignored) : status;
+    int status = EXIT_DONE;
+    for (int tree = 0; tree < JOB_BUILDER_NONE && status == EXIT_DONE && !late; tree++)
+        status = measure_setup(r, (enum job_builder)tree, &ignored);
+    return status;
 }
 
 /* Rounds over the points [from, to) until none fits before `until_s` or all have `repeats`. */

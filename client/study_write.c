@@ -145,8 +145,9 @@ static void put_head(const struct study *s, struct buf *out)
     buf_printf(out, ",\"renders\":%u,\"workers\":%u,\"threads\":%u,\"cost\":\"%s\"",
                s->render_count, s->workers, s->threads, s->own_farm ? "cpu" : "reported");
     buf_printf(out, ",\"setup_core_seconds\":{\"sah\":");
-    json_put_number(out, s->setups[0].median_s);
-    put_number(out, "median", s->setups[1].median_s);
+    json_put_number(out, s->setups[JOB_BUILDER_SAH].median_s);
+    for (int i = JOB_BUILDER_SAH + 1; i < JOB_BUILDER_NONE; i++)
+        put_number(out, job_builder_names[i], s->setups[i].median_s);
     buf_printf(out, "},\"base_spp\":%" PRIu64 ",\"reference\":{\"spp\":%" PRIu64, s->base_spp,
                2 * s->reference_spp);
     buf_printf(out, ",\"max_depth\":%u", s->reference_depth);

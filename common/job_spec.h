@@ -22,7 +22,7 @@
     X(BOX, "box")                                                                                  \
     X(TENT, "tent")                                                                                \
     X(GAUSSIAN, "gaussian") X(MITCHELL, "mitchell") X(BLACKMAN_HARRIS, "blackman-harris")
-#define JOB_BUILDERS(X)      X(SAH, "sah") X(MEDIAN, "median") X(NONE, "none")
+#define JOB_BUILDERS(X)      X(SAH, "sah") X(MEDIAN, "median") X(SBVH, "sbvh") X(NONE, "none")
 #define JOB_INTERSECTORS(X)  X(WOOP, "woop") X(MOLLER_TRUMBORE, "moller-trumbore")
 #define JOB_LIGHT_CHOICES(X) X(TREE, "tree") X(POWER, "power") X(UNIFORM, "uniform")
 #define JOB_PRECISIONS(X)    X(EXACT, "exact") X(FAST, "fast")

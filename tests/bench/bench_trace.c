@@ -1,7 +1,8 @@
 /* bench_trace: our rays against Embree's, side by side in one process.
  *
  *   bench_trace [--quick] [--json FILE] [--runs N] [--side N] [--scene NAME]
- *               [--isa sse2|avx2|avx512] [--fast | --compact] [--embree4 LIBRARY]
+ *               [--isa sse2|avx2|avx512] [--fast | --compact | --sbvh]
+ *               [--embree4 LIBRARY]
  *               [--mesh FILE.ply --rays FILE [--shadow]]
  *
  * Each case times ours (one ray a call, and batches) and Embree (one ray a call,
@@ -10,8 +11,9 @@
  * by the processor's clock, which other work on the machine disturbs less. With --mesh the
  * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar. --fast
  * also times scenes with --precision fast, against exact; --compact times compact trees against
- * normal ones. The SAH cost of Embree's builder is that of the tree that its rtcBuildBVH makes of
- * the same boxes, as binary as ours is before it is made wide.
+ * normal ones, --sbvh those of builder sbvh against sah's. The SAH cost of Embree's builder is that
+ * of the tree that its rtcBuildBVH makes of the same boxes, as binary as ours is before it is made
+ * wide.
  */
 #include <errno.h>
 #include <getopt.h>
@@ -29,7 +31,8 @@
 enum { RUNS_MAX = 99, PEERS_MAX = 4, THREADS_MAX = 2, CHUNK = 1024 };
 
 struct options {
-    bool quick, shadow, fast, compact;
+    bool quick, shadow;
+    enum other { OTHER_NONE, OTHER_FAST, OTHER_COMPACT, OTHER_SBVH } other;
     int runs;
     uint32_t side;
     enum accel_isa isa;
@@ -44,7 +47,7 @@ struct bench {
     const char *peer_names[PEERS_MAX];
     bool peer_robust[PEERS_MAX];
     int peer_count;
-    struct accel *other; /* float decides, or compact; NULL without --fast and --compact */
+    struct accel *other; /* as options.other says; NULL: none */
 };
 
 struct ratio {
@@ -211,8 +214,9 @@ static void print_other(struct bench *b, const char *scene, const char *kind, in
                         const double *first, const double *other, const struct ratio *ratio)
 {
     static const char *const calls[2] = {"single", "batch"};
-    const char *what = b->options.fast ? "fast" : "compact";
-    const char *over = b->options.fast ? "exact" : "normal";
+    static const char *const whats[] = {"", "fast", "compact", "sbvh"};
+    static const char *const overs[] = {"", "exact", "normal", "sah"};
+    const char *what = whats[b->options.other], *over = overs[b->options.other];
     printf("%-10s %-7s %d  %s over %s:", scene, kind, threads, what, over);
     for (int i = 0; i < 2; i++) {
         char name[64];
@@ -392,15 +396,27 @@ static struct accel *time_build(struct bench *b, const char *scene, const struct
 }
 
 /* Ours in the other way that options ask for. */
-static void build_other(struct bench *b, const struct trace_scene *s, int threads)
+static void build_other(struct bench *b, const char *scene, const struct trace_scene *s,
+                        int threads)
 {
-    const struct accel_options other = {.isa = b->options.isa,
-                                        .precision = b->options.fast ? JOB_PRECISION_FAST
-                                                                     : JOB_PRECISION_EXACT,
-                                        .compact = b->options.compact};
-    double seconds;
-    if (b->options.fast || b->options.compact)
-        b->other = build_ours(s, &other, threads, &seconds);
+    enum other other = b->options.other;
+    const struct accel_options options = {
+        .isa = b->options.isa,
+        .builder = other == OTHER_SBVH ? JOB_BUILDER_SBVH : JOB_BUILDER_SAH,
+        .precision = other == OTHER_FAST ? JOB_PRECISION_FAST : JOB_PRECISION_EXACT,
+        .compact = other == OTHER_COMPACT};
+    struct accel_stats stats;
+    double seconds[RUNS_MAX];
+    if (other == OTHER_NONE)
+        return;
+    for (int run = 0; run < b->options.runs; run++) {
+        accel_free(b->other);
+        b->other = build_ours(s, &options, threads, &seconds[run]);
+    }
+    accel_stats_get(b->other, &stats);
+    printf("%-10s other   %d  %.4f s, %.1f bytes/triangle, SAH %.2f wide, %.2f binary\n", scene,
+           threads, median_of(seconds, b->options.runs),
+           (double)stats.bytes / (double)s->triangle_count, stats.sah_cost, stats.sah_binary);
 }
 
 static void free_both(struct bench *b, struct accel *a)
@@ -420,7 +436,7 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
     int threads_max = b->options.quick ? 1 : THREADS_MAX;
     for (int threads = 1; threads <= threads_max; threads++) {
         struct accel *a = time_build(b, trace_scene_names[id], &s, threads);
-        build_other(b, &s, threads);
+        build_other(b, trace_scene_names[id], &s, threads);
         for (int kind = 0; kind < TRACE_RAYS_COUNT; kind++) {
             struct trace_rays rays;
             if (trace_rays_make(&rays, a, id, (enum trace_rays_id)kind, b->options.side) != ERR_OK)
@@ -531,7 +547,7 @@ static void bench_files(struct bench *b)
     trace_scene_wrap(&s, &mesh);
     for (int threads = 1; threads <= (b->options.quick ? 1 : THREADS_MAX); threads++) {
         struct accel *a = time_build(b, "mesh", &s, threads);
-        build_other(b, &s, threads);
+        build_other(b, "mesh", &s, threads);
         time_rays(b, "mesh", b->options.shadow ? "shadow" : "closest", a, &rays, b->options.shadow,
                   threads);
         free_both(b, a);
@@ -555,11 +571,11 @@ static void add_peer(struct bench *b, const char *name, const char *library, boo
 
 static int usage(void)
 {
-    fprintf(stderr,
-            "usage: bench_trace [--quick] [--json FILE] [--runs N] [--side N] "
-            "[--scene NAME]\n                   [--isa sse2|avx2|avx512] [--fast | --compact] "
-            "[--embree4 LIBRARY]\n                   "
-            "[--mesh FILE.ply --rays FILE [--shadow]]\n");
+    fprintf(stderr, "usage: bench_trace [--quick] [--json FILE] [--runs N] [--side N] "
+                    "[--scene NAME]\n                   [--isa sse2|avx2|avx512] [--fast | "
+                    "--compact | --sbvh]\n"
+                    "                   [--embree4 LIBRARY] "
+                    "[--mesh FILE.ply --rays FILE [--shadow]]\n");
     return 2;
 }
 
@@ -577,19 +593,13 @@ static bool parse_isa(const char *name, enum accel_isa *out)
 static bool parse_options(int argc, char **argv, struct options *o)
 {
     static const struct option table[] = {
-        {"quick", no_argument, NULL, 'q'},
-        {"json", required_argument, NULL, 'j'},
-        {"runs", required_argument, NULL, 'n'},
-        {"side", required_argument, NULL, 's'},
-        {"scene", required_argument, NULL, 'c'},
-        {"isa", required_argument, NULL, 'i'},
-        {"fast", no_argument, NULL, 'f'},
-        {"embree4", required_argument, NULL, '4'},
-        {"mesh", required_argument, NULL, 'm'},
-        {"rays", required_argument, NULL, 'r'},
-        {"shadow", no_argument, NULL, 'o'},
-        {"compact", no_argument, NULL, 'p'},
-        {NULL, 0, NULL, 0},
+        {"quick", no_argument, NULL, 'q'},       {"json", required_argument, NULL, 'j'},
+        {"runs", required_argument, NULL, 'n'},  {"side", required_argument, NULL, 's'},
+        {"scene", required_argument, NULL, 'c'}, {"isa", required_argument, NULL, 'i'},
+        {"fast", no_argument, NULL, 'f'},        {"embree4", required_argument, NULL, '4'},
+        {"mesh", required_argument, NULL, 'm'},  {"rays", required_argument, NULL, 'r'},
+        {"shadow", no_argument, NULL, 'o'},      {"compact", no_argument, NULL, 'p'},
+        {"sbvh", no_argument, NULL, 'h'},        {NULL, 0, NULL, 0},
     };
     *o = (struct options){.runs = 7};
     int c;
@@ -615,10 +625,11 @@ static bool parse_options(int argc, char **argv, struct options *o)
                 return false;
             break;
         case 'f':
-            o->fast = true;
-            break;
         case 'p':
-            o->compact = true;
+        case 'h':
+            if (o->other != OTHER_NONE)
+                return false;
+            o->other = c == 'f' ? OTHER_FAST : c == 'p' ? OTHER_COMPACT : OTHER_SBVH;
             break;
         case '4':
             o->embree4 = optarg;
@@ -639,7 +650,7 @@ static bool parse_options(int argc, char **argv, struct options *o)
     if (o->side == 0)
         o->side = o->quick ? 192 : 512;
     return optind == argc && o->runs >= 1 && o->runs <= RUNS_MAX && o->side >= 16 &&
-           o->side <= 16384 && !o->mesh == !o->rays && !(o->fast && o->compact);
+           o->side <= 16384 && !o->mesh == !o->rays;
 }
 
 int main(int argc, char **argv)

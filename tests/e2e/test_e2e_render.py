@@ -82,7 +82,7 @@ def test_one_hash(tmp_path):
         report, _ = render(GLASS_SCENE, tmp_path / f"{number}.exr", *SMALL, "--workers", workers,
                            "--threads", threads, "--tile", tile, timeout=120)
         hashes[f"{workers} workers, {threads} threads, tile {tile}"] = report["image_sha256"]
-    for builder in ("median", "none"):
+    for builder in ("median", "sbvh", "none"):
         report, _ = render(GLASS_SCENE, tmp_path / f"{builder}.exr", *SMALL, "--builder", builder)
         hashes[builder] = report["image_sha256"]
     assert len(set(hashes.values())) == 1, hashes
@@ -92,7 +92,8 @@ def test_fast_has_one_hash_too(tmp_path):
     """Float decides with the same bits for any workers, cells and tree."""
     hashes = {}
     for options in (("--workers", "1"), ("--workers", "2", "--threads", "1", "--tile", "7"),
-                    ("--workers", "1", "--threads", "3", "--builder", "median")):
+                    ("--workers", "1", "--threads", "3", "--builder", "median"),
+                    ("--workers", "1", "--builder", "sbvh")):
         report, _ = render(GLASS_SCENE, tmp_path / "a.exr", *SMALL, "--precision", "fast", *options)
         assert report["spec"]["precision"] == "fast"
         hashes[options] = report["image_sha256"]

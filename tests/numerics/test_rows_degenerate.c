@@ -265,24 +265,25 @@ static void test_t12_pictures(void **state)
     (void)state;
     struct kit_picture first = {0};
     uint64_t random = 35;
-    for (int i = 0; i < 6; i++) {
+    for (int i = 0; i < 2 * JOB_BUILDER_COUNT; i++) {
         struct scene s;
         scene_init(&s);
         kit_cornell(&s, KIT_BOXES | KIT_AREA_LIGHT | KIT_DISC);
-        if (i >= 3)
+        if (i >= JOB_BUILDER_COUNT)
             for (size_t k = 0; k < s.mesh_count; k++) {
                 uint32_t place[64];
                 assert_true(s.meshes[k].triangle_count <= 64);
                 shuffle(s.meshes[k].indices, s.meshes[k].triangle_count, place, &random);
             }
         struct job_spec spec = kit_spec(24, 4);
-        spec.builder = (enum job_builder)(i % 3);
+        spec.builder = (enum job_builder)(i % JOB_BUILDER_COUNT);
         /* A lamp's triangles are lights in order: where they are sampled the order is visible. */
-        spec.integrator = i >= 3 ? JOB_INTEGRATOR_INTERSECTION_TEST : JOB_INTEGRATOR_PATH;
+        spec.integrator =
+            i >= JOB_BUILDER_COUNT ? JOB_INTEGRATOR_INTERSECTION_TEST : JOB_INTEGRATOR_PATH;
         struct kit_picture p = kit_render(&s, &spec, 0);
         if (i == 0) {
             first = p;
-        } else if (i < 3) {
+        } else if (i < JOB_BUILDER_COUNT) {
             assert_memory_equal(p.mean, first.mean, 24 * 24 * 3 * sizeof *p.mean);
             kit_picture_free(&p);
         } else {

@@ -152,11 +152,11 @@ static void test_t06_lattice(void **state)
         struct trace_scene s;
         lattice_mesh(&l, &mesh);
         trace_scene_wrap(&s, &mesh);
-        for (int kernel = 0; kernel < 5; kernel++) {
-            enum job_builder builder = kernel == 4   ? JOB_BUILDER_NONE
-                                       : kernel == 3 ? JOB_BUILDER_MEDIAN
-                                                     : JOB_BUILDER_SAH;
-            struct accel *a = kit_build(&s.input, builder, isas[kernel % 3], NULL);
+        for (int kernel = 0; kernel < 6; kernel++) {
+            const enum job_builder builder[] = {JOB_BUILDER_SAH,  JOB_BUILDER_SAH,
+                                                JOB_BUILDER_SAH,  JOB_BUILDER_MEDIAN,
+                                                JOB_BUILDER_SBVH, JOB_BUILDER_NONE};
+            struct accel *a = kit_build(&s.input, builder[kernel], isas[kernel % 3], NULL);
             for (int k = 0; k < 27; k++) {
                 int d[3] = {k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1};
                 int across =

@@ -38,7 +38,7 @@ static void check_agreement(const char *name, const struct trace_scene *s, size_
     for (size_t i = 0; i < count; i++)
         hits += accel_occluded(brute, &rays[i]);
     printf("  %s: %zu rays, %zu hits;", name, count, hits);
-    for (int way = 0; way < 12; way++) {
+    for (int way = 0; way < 6 * JOB_BUILDER_NONE; way++) {
         struct accel_options options = {
             .builder = (enum job_builder)(way / 6), .isa = isas[way % 3], .compact = way / 3 % 2};
         struct accel *a = NULL;
@@ -58,7 +58,7 @@ static void check_agreement(const char *name, const struct trace_scene *s, size_
 static void test_scenes_agree(void **state)
 {
     (void)state;
-    static const size_t few[TRACE_SCENE_COUNT] = {4000, 24, 0, 0, 24, 6};
+    static const size_t few[TRACE_SCENE_COUNT] = {3000, 16, 0, 0, 16, 4};
     static const size_t many[TRACE_SCENE_COUNT] = {100000, 100000, 1000, 1000, 100000, 2000};
     for (int id = 0; id < TRACE_SCENE_COUNT; id++) {
         size_t count = is_long ? many[id] : few[id];
@@ -190,7 +190,7 @@ static void check_fast(enum trace_scene_id id, size_t count)
     struct ray *rays = make_rays(&s, count, 43);
     struct accel *exact = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
     struct accel *first = build_fast(&s, JOB_BUILDER_SAH, ACCEL_ISA_SSE2);
-    for (int i = 1; i < 6; i++) {
+    for (int i = 1; i < 3 * JOB_BUILDER_NONE; i++) {
         struct accel *a = build_fast(&s, (enum job_builder)(i / 3), isas[i % 3]);
         assert_int_equal(kit_differences(first, a, rays, count), 0);
         accel_free(a);
@@ -358,6 +358,21 @@ static void check_same_tree(const struct accel *a, const struct accel *b)
     assert_memory_equal(&a->stats, &b->stats, sizeof a->stats);
 }
 
+static void check_builds(const struct trace_scene *s, enum job_builder builder)
+{
+    struct accel *one = kit_build(&s->input, builder, ACCEL_ISA_AUTO, NULL);
+    struct accel *plain = kit_build(&s->input, builder, ACCEL_ISA_SSE2, NULL);
+    check_same_tree(plain, one);
+    accel_free(plain);
+    for (uint32_t threads = 2; threads <= 8; threads *= 2) {
+        struct accel_runner runner = kit_runner(threads);
+        struct accel *a = kit_build(&s->input, builder, ACCEL_ISA_AUTO, &runner);
+        check_same_tree(a, one);
+        accel_free(a);
+    }
+    accel_free(one);
+}
+
 /* One tree, byte for byte, whatever the threads and the instruction set of the builder. */
 static void test_builds_agree(void **state)
 {
@@ -366,17 +381,8 @@ static void test_builds_agree(void **state)
     for (size_t i = 0; i < 2; i++) {
         struct trace_scene s;
         assert_int_equal(trace_scene_make(&s, scenes[i]), ERR_OK);
-        struct accel *one = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL);
-        struct accel *plain = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_SSE2, NULL);
-        check_same_tree(plain, one);
-        accel_free(plain);
-        for (uint32_t threads = 2; threads <= 8; threads *= 2) {
-            struct accel_runner runner = kit_runner(threads);
-            struct accel *a = kit_build(&s.input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, &runner);
-            check_same_tree(a, one);
-            accel_free(a);
-        }
-        accel_free(one);
+        check_builds(&s, JOB_BUILDER_SAH);
+        check_builds(&s, JOB_BUILDER_SBVH);
         trace_scene_release(&s);
     }
 }
@@ -598,18 +604,14 @@ static void test_degenerate_meshes(void **state)
     }
 }
 
-/* Every allocation of a build fails once. */
-static void test_out_of_memory(void **state)
+static void check_out_of_memory(const struct trace_scene *s, enum job_builder builder)
 {
-    (void)state;
-    struct trace_scene s;
-    struct accel_options options = {.builder = JOB_BUILDER_SAH};
+    struct accel_options options = {.builder = builder};
     struct accel *a = NULL;
     uint64_t calls = 0;
-    assert_int_equal(trace_scene_make(&s, TRACE_INSTANCES), ERR_OK);
     for (;; calls++) {
         mem_fail_after(calls);
-        enum err err = accel_new(&s.input, &options, NULL, &a);
+        enum err err = accel_new(&s->input, &options, NULL, &a);
         mem_fail_after(UINT64_MAX);
         if (err == ERR_OK)
             break;
@@ -617,6 +619,16 @@ static void test_out_of_memory(void **state)
     }
     assert_true(calls > 5);
     accel_free(a);
+}
+
+/* Every allocation of a build fails once. */
+static void test_out_of_memory(void **state)
+{
+    (void)state;
+    struct trace_scene s;
+    assert_int_equal(trace_scene_make(&s, TRACE_INSTANCES), ERR_OK);
+    check_out_of_memory(&s, JOB_BUILDER_SAH);
+    check_out_of_memory(&s, JOB_BUILDER_SBVH);
     trace_scene_release(&s);
 }
 

@@ -185,20 +185,20 @@ static size_t count_beside(const struct stage *s, const struct accel *a, const s
 
 static const enum accel_isa isas[] = {ACCEL_ISA_SSE2, ACCEL_ISA_AVX2, ACCEL_ISA_AVX512};
 
-/* Of the six ways of --precision fast, which have no brute force: how they differ from the first.
- */
+/* Of the ways of --precision fast, which have no brute force: how they differ from the first. */
 static size_t count_fast(const struct stage *s, const struct ray *rays, size_t count)
 {
-    struct accel *ways[6];
+    enum { WAYS = 3 * JOB_BUILDER_NONE };
+    struct accel *ways[WAYS];
     size_t bad = 0;
-    for (int i = 0; i < 6; i++) {
+    for (int i = 0; i < WAYS; i++) {
         struct accel_options options = {.builder = (enum job_builder)(i / 3),
                                         .isa = isas[i % 3],
                                         .precision = JOB_PRECISION_FAST};
         assert_int_equal(accel_new(&s->input, &options, NULL, &ways[i]), ERR_OK);
         bad += i > 0 ? kit_differences(ways[0], ways[i], rays, count) : 0;
     }
-    for (int i = 0; i < 6; i++)
+    for (int i = 0; i < WAYS; i++)
         accel_free(ways[i]);
     return bad;
 }
@@ -213,7 +213,7 @@ static size_t check_stage(const struct stage *s, uint64_t *seed, size_t count)
     size_t hits = 0, bad = 0;
     for (size_t i = 0; i < count; i++)
         hits += accel_occluded(brute, &rays[i]);
-    for (int way = 0; way < 12; way++) {
+    for (int way = 0; way < 6 * JOB_BUILDER_NONE; way++) {
         struct accel_options options = {
             .builder = (enum job_builder)(way / 6), .isa = isas[way % 3], .compact = way / 3 % 2};
         struct accel *a = NULL;

@@ -265,6 +265,7 @@ static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
 {
     struct bvh box = {0}, made = {.root = BVH_EMPTY};
     struct bvh_how how = {.median = a->options.builder == JOB_BUILDER_MEDIAN,
+                          .spatial = a->options.builder == JOB_BUILDER_SBVH,
                           .compact = a->options.compact,
                           .isa = a->options.isa,
                           .runner = runner,

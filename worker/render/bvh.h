@@ -90,11 +90,15 @@ struct bvh_source {
     void *ctx;
 };
 
-/* How to build. The tree depends on `median` and `compact` alone. */
+/* References are not more than so many and one in BVH_SPATIAL_MORE by splits of space. */
+enum { BVH_SPATIAL_MORE = 1 };
+
+/* How to build. The tree depends on `median`, `spatial` and `compact` alone. */
 struct bvh_how {
-    bool median;        /* split at the object median of the longest axis, else by the surface
-                           area heuristic */
-    bool compact;       /* pack leaves */
+    bool median;  /* split at the object median of the longest axis, else by the surface
+                     area heuristic */
+    bool spatial; /* split space too, and triangles with it (bvh_spatial.h); not for a place */
+    bool compact; /* pack leaves */
     enum accel_isa isa; /* the widest to be used */
     float edge;         /* the largest extent of a triangle along any axis */
     const struct accel_runner *runner;
@@ -127,14 +131,14 @@ struct bvh2 {
     } * runs;
     size_t run_count, node_limit;
     struct bvh_ref *refs; /* reordered */
-    uint32_t ref_count;
+    uint32_t ref_count;   /* with room for pieces */
     struct bvh_ref *spare;
 };
 
 /* Takes refs[0..count), count > 0, allocated by bvh_alloc; frees them whatever happens or
- * hands them on in out->refs. */
+ * hands them on in out->refs. `source` gives the triangles that space splits. */
 TL_NODISCARD enum err bvh2_build(struct bvh_ref *refs, uint32_t count, const struct bvh_how *how,
-                                 struct bvh2 *out);
+                                 const struct bvh_source *source, struct bvh2 *out);
 void bvh2_release(struct bvh2 *b);
 
 /* Memory for the tables of a tree: big ones in huge pages. */

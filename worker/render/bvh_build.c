@@ -6,7 +6,7 @@
  * maxima, counts), so the tree is the same on any number of threads. The passes
  * themselves are bvh_split.h, for the CPU's instruction set.
  */
-#include "worker/render/bvh_parts.h"
+#include "worker/render/bvh_spatial.h"
 
 #include <string.h>
 
@@ -110,6 +110,12 @@ struct chunked {
         uint32_t left; /* how many of it go left */
     } * chunks;
     size_t count;
+    struct bvh_spatial_grid space;
+    struct bvh_spatial_cut plane;
+    struct spatial_chunk {
+        struct bvh_spatial_bins bins;
+        struct bvh_extent half[2];
+    } * spatial; /* NULL: space is not split */
 };
 
 static const struct bvh_ref *chunk_refs(const struct chunked *c, size_t i, uint32_t *count)
@@ -152,25 +158,27 @@ static void chunk_scatter(void *arg, size_t i)
                                 &c->chunks[i].scatter);
 }
 
-/* Where each chunk's references go, in the order of chunks; returns the border. */
-static uint32_t chunks_place(struct chunked *c)
+/* Where each chunk's references go, in the order of chunks. */
+static void chunks_place(struct chunked *c, struct bvh_halves *out)
 {
-    uint32_t left = c->range->begin, count;
+    uint32_t left = 0, count;
     for (size_t i = 0; i < c->count; i++) {
         struct chunk *k = &c->chunks[i];
         k->left = 0;
         for (int bin = 0; bin < c->cut.border; bin++)
             k->left += k->bins.bin[bin].count[c->cut.axis];
-        k->scatter.left_at = left;
         left += k->left;
     }
-    uint32_t right = left;
+    bvh_halves_place(c->range, left, c->range->end - c->range->begin - left, out);
+    uint32_t left_at = c->range->begin, right_at = out->right_begin;
     for (size_t i = 0; i < c->count; i++) {
+        struct chunk *k = &c->chunks[i];
         chunk_refs(c, i, &count);
-        c->chunks[i].scatter.right_at = right;
-        right += count - c->chunks[i].left;
+        k->scatter.left_at = left_at;
+        k->scatter.right_at = right_at;
+        left_at += k->left;
+        right_at += count - k->left;
     }
-    return left;
 }
 
 static void grow(float box[8], const float other[8])
@@ -194,15 +202,15 @@ static void measure_large(const struct bvh_builder *b, const struct bvh_range *r
     out->area_limit = __FLT_MAX__;
 }
 
-static uint32_t halve_large(const struct bvh_builder *b, const struct bvh_range *r,
-                            struct chunk *chunks, struct bvh_extent half[2])
+static void halve_large(const struct bvh_builder *b, const struct bvh_range *r,
+                        struct chunk *chunks, struct bvh_halves *out)
 {
     uint32_t middle = bvh_split_median(bvh_range_refs(b, r), r);
     struct bvh_range left = *r, right = *r;
     left.end = right.begin = middle;
-    measure_large(b, &left, chunks, &half[0]);
-    measure_large(b, &right, chunks, &half[1]);
-    return middle;
+    measure_large(b, &left, chunks, &out->half[0]);
+    measure_large(b, &right, chunks, &out->half[1]);
+    bvh_halves_stay(r, middle, out);
 }
 
 /* The grid of a large range, its bins in chunks[].bins and their sum. */
@@ -227,29 +235,95 @@ static void bin_large(struct chunked *c, struct bvh_extent *e, struct bvh_bins *
         splitter->bins_merge(&c->grid, &c->chunks[i].bins, all);
 }
 
-static uint32_t split_large(const struct bvh_builder *b, struct bvh_range *r, struct chunk *chunks,
-                            bool *in_spare, struct bvh_extent half[2])
+/* By the cheapest of the bins' cuts. */
+static void cut_large(struct chunked *c, struct bvh_halves *out)
 {
-    struct chunked c = {.build = b, .range = r, .chunks = chunks};
+    chunks_place(c, out);
+    bvh_run(c->build->runner, c->count, chunk_scatter, c);
+    for (int side = 0; side < 2; side++) {
+        struct bvh_extent *half = &out->half[side];
+        memcpy(half->centre, c->chunks[0].scatter.centre[side], sizeof half->centre);
+        for (size_t i = 1; i < c->count; i++)
+            grow(half->centre, c->chunks[i].scatter.centre[side]);
+        half->area_limit = c->range->extent.area_limit;
+    }
+}
+
+static void chunk_space_bins(void *arg, size_t i)
+{
+    struct chunked *c = arg;
+    uint32_t count;
+    const struct bvh_ref *refs = chunk_refs(c, i, &count);
+    bvh_spatial_fill(c->build, &c->space, refs, count, &c->spatial[i].bins);
+}
+
+static void chunk_space_scatter(void *arg, size_t i)
+{
+    struct chunked *c = arg;
+    uint32_t count;
+    const struct bvh_ref *refs = chunk_refs(c, i, &count);
+    bvh_spatial_scatter(c->build, &c->plane, refs, count, bvh_range_other(c->build, c->range),
+                        &c->chunks[i].scatter, c->spatial[i].half);
+}
+
+/* Where each chunk's pieces go. */
+static void chunks_place_pieces(struct chunked *c, struct bvh_halves *out)
+{
+    bvh_halves_place(c->range, c->plane.left, c->plane.right, out);
+    uint32_t left_at = c->range->begin, right_at = out->right_begin;
+    for (size_t i = 0; i < c->count; i++) {
+        const struct bvh_spatial_bins *bins = &c->spatial[i].bins;
+        c->chunks[i].scatter.left_at = left_at;
+        c->chunks[i].scatter.right_at = right_at;
+        for (int bin = 0; bin < c->plane.border; bin++)
+            left_at += bins->first[c->plane.axis][bin];
+        for (int bin = c->plane.border; bin < BVH_SPATIAL_BINS; bin++)
+            right_at += bins->last[c->plane.axis][bin];
+    }
+}
+
+/* By a plane, if one costs less; false if none does. */
+static bool cut_space(struct chunked *c, struct bvh_halves *out)
+{
+    if (!c->spatial || !bvh_spatial_worth(c->build, c->range, out->half))
+        return false;
+    bvh_spatial_grid_init(&c->range->extent, &c->space);
+    bvh_run(c->build->runner, c->count, chunk_space_bins, c);
+    struct bvh_spatial_bins all = c->spatial[0].bins;
+    for (size_t i = 1; i < c->count; i++)
+        bvh_spatial_merge(&c->spatial[i].bins, &all);
+    c->plane = bvh_spatial_cut(&c->space, &all, c->range, c->cut.cost);
+    if (c->plane.axis < 0)
+        return false;
+    chunks_place_pieces(c, out);
+    bvh_run(c->build->runner, c->count, chunk_space_scatter, c);
+    for (int side = 0; side < 2; side++) {
+        struct bvh_extent *half = &out->half[side];
+        *half = c->spatial[0].half[side];
+        for (size_t i = 1; i < c->count; i++) {
+            grow(half->box, c->spatial[i].half[side].box);
+            grow(half->centre, c->spatial[i].half[side].centre);
+        }
+        half->area_limit = c->range->extent.area_limit;
+    }
+    return true;
+}
+
+static void split_large(const struct bvh_builder *b, struct bvh_range *r, struct chunk *chunks,
+                        struct spatial_chunk *spatial, struct bvh_halves *out)
+{
+    struct chunked c = {.build = b, .range = r, .chunks = chunks, .spatial = spatial};
     struct bvh_bins all;
     c.count = (r->end - r->begin + CHUNK - 1) / CHUNK;
-    *in_spare = r->in_spare;
-    if (bvh_must_halve(b, r))
-        return halve_large(b, r, chunks, half);
-    bin_large(&c, &r->extent, &all);
-    c.cut = b->splitter->bins_cut(&c.grid, &all, &half[0], &half[1]);
-    if (c.cut.axis < 0)
-        return halve_large(b, r, chunks, half);
-    uint32_t middle = chunks_place(&c);
-    bvh_run(b->runner, c.count, chunk_scatter, &c);
-    for (int side = 0; side < 2; side++) {
-        memcpy(half[side].centre, chunks[0].scatter.centre[side], sizeof half[side].centre);
-        for (size_t i = 1; i < c.count; i++)
-            grow(half[side].centre, chunks[i].scatter.centre[side]);
-        half[side].area_limit = r->extent.area_limit;
+    c.cut.axis = -1;
+    if (!bvh_must_halve(b, r)) {
+        bin_large(&c, &r->extent, &all);
+        c.cut = b->splitter->bins_cut(&c.grid, &all, &out->half[0], &out->half[1]);
     }
-    *in_spare = !r->in_spare;
-    return middle;
+    if (c.cut.axis < 0)
+        halve_large(b, r, chunks, out);
+    else if (!cut_space(&c, out))
+        cut_large(&c, out);
 }
 
 /* --- The tree ---------------------------------------------------------------- */
@@ -267,47 +341,59 @@ static void task_run(void *arg, size_t i)
     run->end = t->build->splitter->subtree(t->build, &t->ranges[i], run->begin);
 }
 
-/* Splits until every range is a task; leaves are tasks too. */
-static enum err build_top(const struct bvh_builder *b, uint32_t count, struct tasks *tasks)
+static bool add_task(struct tasks *t, const struct bvh_range *r)
 {
-    uint32_t limit = count / TASKS > TASK_MIN ? count / TASKS : TASK_MIN, next = 0;
-    size_t chunk_count = (count + CHUNK - 1) / CHUNK;
-    struct chunk *chunks = bvh_alloc(chunk_count, sizeof *chunks);
+    if (!mem_grow((void **)&t->ranges, t->count, &t->capacity, sizeof *t->ranges))
+        return false;
+    t->ranges[t->count++] = *r;
+    return true;
+}
+
+/* Splits until every range is a task; leaves are tasks too. */
+static enum err split_top(struct bvh_builder *b, uint32_t count, struct chunk *chunks,
+                          struct spatial_chunk *spatial, struct tasks *tasks)
+{
+    uint32_t most = count / TASKS > TASK_MIN ? count / TASKS : TASK_MIN, next = 0;
     struct bvh_range stack[BVH_DEPTH_MAX + 2];
     int top = 0;
-    if (!chunks)
-        return ERR_NOMEM;
-    enum err err = ERR_OK;
-    stack[top] = (struct bvh_range){.end = count};
+    stack[top] = (struct bvh_range){.end = count, .limit = b->out->ref_count};
     measure_large(b, &stack[top], chunks, &stack[top].extent);
-    top++;
-    while (!err && top > 0) {
+    b->overlap_min = bvh_spatial_overlap_min(&stack[top++].extent);
+    while (top > 0) {
         struct bvh_range r = stack[--top];
-        if (r.end - r.begin <= limit) {
-            if (mem_grow((void **)&tasks->ranges, tasks->count, &tasks->capacity,
-                         sizeof *tasks->ranges))
-                tasks->ranges[tasks->count++] = r;
-            else
-                err = ERR_NOMEM;
+        if (r.end - r.begin <= most) {
+            if (!add_task(tasks, &r))
+                return ERR_NOMEM;
             continue;
         }
         struct bvh2_node *node = &b->out->nodes[next];
-        struct bvh_extent half[2];
-        bool in_spare;
+        struct bvh_halves halves;
         if (r.link)
             *r.link = next;
         next++;
         bvh_node_write(node, &r.extent);
-        uint32_t middle = split_large(b, &r, chunks, &in_spare, half);
-        bvh_push_halves(stack, &top, &r, middle, in_spare, node, half);
+        split_large(b, &r, chunks, spatial, &halves);
+        bvh_push_halves(stack, &top, &r, &halves, node);
     }
-    mem_free(chunks);
     b->out->runs[0] = (struct bvh2_run){0, next, 0.0};
+    return ERR_OK;
+}
+
+static enum err build_top(struct bvh_builder *b, uint32_t count, struct tasks *tasks)
+{
+    size_t chunk_count = (count + CHUNK - 1) / CHUNK;
+    struct chunk *chunks = bvh_alloc(chunk_count, sizeof *chunks);
+    struct spatial_chunk *spatial = b->source ? bvh_alloc(chunk_count, sizeof *spatial) : NULL;
+    enum err err = ERR_NOMEM;
+    if (chunks && (spatial || !b->source))
+        err = split_top(b, count, chunks, spatial, tasks);
+    mem_free(chunks);
+    mem_free(spatial);
     return err;
 }
 
 /* Every task has room for all the nodes it could need; pages it does not touch cost nothing. */
-static enum err build_tasks(const struct bvh_builder *b, uint32_t count)
+static enum err build_tasks(struct bvh_builder *b, uint32_t count)
 {
     struct tasks tasks = {b, NULL, 0, 0};
     b->out->runs = mem_alloc_array(1, sizeof *b->out->runs);
@@ -321,7 +407,7 @@ static enum err build_tasks(const struct bvh_builder *b, uint32_t count)
         uint32_t next = runs[0].end;
         for (size_t i = 0; i < tasks.count; i++) {
             runs[i + 1].begin = next;
-            next += 2 * (tasks.ranges[i].end - tasks.ranges[i].begin) - 1;
+            next += 2 * (tasks.ranges[i].limit - tasks.ranges[i].begin) - 1;
         }
         bvh_run(b->runner, tasks.count, task_run, &tasks);
     } else {
@@ -331,17 +417,34 @@ static enum err build_tasks(const struct bvh_builder *b, uint32_t count)
     return err;
 }
 
-enum err bvh2_build(struct bvh_ref *refs, uint32_t count, const struct bvh_how *how,
-                    struct bvh2 *out)
+/* Room for pieces of triangles behind the references. */
+static bool make_room(struct bvh_ref **refs, uint32_t count, uint32_t capacity)
 {
-    size_t limit = 2 * (size_t)count;
-    *out = (struct bvh2){.refs = refs, .ref_count = count, .node_limit = limit};
+    struct bvh_ref *more = bvh_alloc(capacity, sizeof *more);
+    if (!more)
+        return false;
+    memcpy(more, *refs, count * sizeof *more);
+    mem_free(*refs);
+    *refs = more;
+    return true;
+}
+
+enum err bvh2_build(struct bvh_ref *refs, uint32_t count, const struct bvh_how *how,
+                    const struct bvh_source *source, struct bvh2 *out)
+{
+    uint32_t capacity = how->spatial ? count + count / BVH_SPATIAL_MORE : count;
+    size_t limit = 2 * (size_t)capacity;
+    *out = (struct bvh2){.refs = refs, .ref_count = capacity, .node_limit = limit};
     out->nodes = mem_alloc_aligned(limit * sizeof *out->nodes, 64); /* sparse: no huge pages */
-    out->spare = bvh_alloc(count, sizeof *refs);
+    out->spare = bvh_alloc(capacity, sizeof *refs);
     bool avx2 = how->isa != ACCEL_ISA_SSE2 && __builtin_cpu_supports("avx2");
-    struct bvh_builder b = {out, how->runner, avx2 ? &bvh_split_avx2 : &bvh_split_sse2,
-                            how->median};
-    enum err err = out->nodes && out->spare ? build_tasks(&b, count) : ERR_NOMEM;
+    struct bvh_builder b = {.out = out,
+                            .runner = how->runner,
+                            .splitter = avx2 ? &bvh_split_avx2 : &bvh_split_sse2,
+                            .median = how->median,
+                            .source = how->spatial ? source : NULL};
+    bool ready = out->nodes && out->spare && (!b.source || make_room(&out->refs, count, capacity));
+    enum err err = ready ? build_tasks(&b, count) : ERR_NOMEM;
     mem_free(out->spare);
     out->spare = NULL;
     if (err)

@@ -26,7 +26,8 @@ struct bvh_extent {
 };
 
 struct bvh_range {
-    uint32_t begin, end, depth;
+    uint32_t begin, end, limit; /* end <= limit: room for pieces of triangles */
+    uint32_t depth;
     bool in_spare;  /* which of the two arrays holds it */
     uint32_t *link; /* where the parent wants the node's number; NULL for a root */
     struct bvh_extent extent;
@@ -61,6 +62,15 @@ struct bvh_builder {
     const struct accel_runner *runner;
     const struct bvh_splitter *splitter;
     bool median;
+    const struct bvh_source *source; /* space is split too (bvh_spatial.h); NULL: it is not */
+    float overlap_min;
+};
+
+/* What a range was split into. The left half begins where the range did. */
+struct bvh_halves {
+    uint32_t left_end, right_begin, right_end;
+    bool in_spare;
+    struct bvh_extent half[2];
 };
 
 /* Where one piece of a range goes: references of bins below the border to left_at and up,
@@ -121,15 +131,35 @@ static inline void bvh_node_write(struct bvh2_node *node, const struct bvh_exten
     }
 }
 
+/* Places halves of so many references in the other array; what room is left is shared. */
+static inline void bvh_halves_place(const struct bvh_range *r, uint32_t left, uint32_t right,
+                                    struct bvh_halves *out)
+{
+    uint64_t spare = r->limit - r->begin - left - right;
+    out->left_end = r->begin + left;
+    out->right_begin = out->left_end + (uint32_t)(spare * left / ((uint64_t)left + right));
+    out->right_end = out->right_begin + right;
+    out->in_spare = !r->in_spare;
+}
+
+/* Halves that stay where they are; the right one gets all the room. */
+static inline void bvh_halves_stay(const struct bvh_range *r, uint32_t middle,
+                                   struct bvh_halves *out)
+{
+    out->left_end = out->right_begin = middle;
+    out->right_end = r->end;
+    out->in_spare = r->in_spare;
+}
+
 /* Pushes the halves of a split range, the left one on top. */
 static inline void bvh_push_halves(struct bvh_range *stack, int *top, const struct bvh_range *r,
-                                   uint32_t middle, bool in_spare, struct bvh2_node *node,
-                                   const struct bvh_extent half[2])
+                                   const struct bvh_halves *h, struct bvh2_node *node)
 {
-    stack[(*top)++] =
-        (struct bvh_range){middle, r->end, r->depth + 1, in_spare, &node->right, half[1]};
-    stack[(*top)++] =
-        (struct bvh_range){r->begin, middle, r->depth + 1, in_spare, &node->left, half[0]};
+    uint32_t depth = r->depth + 1;
+    stack[(*top)++] = (struct bvh_range){h->right_begin, h->right_end, r->limit,  depth,
+                                         h->in_spare,    &node->right, h->half[1]};
+    stack[(*top)++] = (struct bvh_range){r->begin,    h->left_end, h->right_begin, depth,
+                                         h->in_spare, &node->left, h->half[0]};
 }
 
 #endif

@@ -11,7 +11,7 @@
 #ifndef WORKER_RENDER_BVH_SPLIT_H
 #define WORKER_RENDER_BVH_SPLIT_H
 
-#include "worker/render/bvh_parts.h"
+#include "worker/render/bvh_spatial.h"
 
 #include <immintrin.h>
 #include <string.h>
@@ -456,49 +456,60 @@ static bool is_leaf(const struct bvh_ref *refs, const struct bvh_range *r)
     return true;
 }
 
-static uint32_t split_median(const struct bvh_builder *b, const struct bvh_range *r,
-                             struct bvh_extent half[2])
+static void split_median(const struct bvh_builder *b, const struct bvh_range *r,
+                         struct bvh_halves *out)
 {
     struct bvh_ref *refs = bvh_range_refs(b, r);
     uint32_t middle = bvh_split_median(refs, r);
-    measure(&refs[r->begin], middle - r->begin, &half[0]);
-    measure(&refs[middle], r->end - middle, &half[1]);
-    return middle;
+    bvh_halves_stay(r, middle, out);
+    measure(&refs[r->begin], middle - r->begin, &out->half[0]);
+    measure(&refs[middle], r->end - middle, &out->half[1]);
 }
 
-/* Splits a range that is no leaf; returns the border, where the halves now are and what is
- * known of them. */
-static uint32_t split_range(const struct bvh_builder *b, struct bvh_range *r, bool *in_spare,
-                            struct bvh_extent half[2])
+/* Puts a range's references to both sides of a cut. */
+static void split_binned(const struct bvh_builder *b, const struct bvh_range *r,
+                         const struct bvh_grid *grid, const struct bvh_bins *bins,
+                         const struct bvh_cut *cut, struct bvh_halves *out)
+{
+    const struct bvh_ref *from = &bvh_range_refs(b, r)[r->begin];
+    uint32_t count = r->end - r->begin, left = 0;
+    for (int i = 0; i < cut->border; i++)
+        left += bins->bin[i].count[cut->axis];
+    bvh_halves_place(r, left, count - left, out);
+    struct bvh_scatter s = {.left_at = r->begin, .right_at = out->right_end - 1};
+    if (cut->axis == BVH_SIZE_AXIS)
+        scatter_as(grid, cut, true, true, from, count, bvh_range_other(b, r), &s);
+    else
+        scatter_as(grid, cut, false, true, from, count, bvh_range_other(b, r), &s);
+    for (int i = 0; i < 2; i++) {
+        memcpy(out->half[i].centre, s.centre[i], sizeof out->half[i].centre);
+        out->half[i].area_limit = r->extent.area_limit;
+    }
+}
+
+/* Splits a range that is no leaf. */
+static void split_range(const struct bvh_builder *b, struct bvh_range *r, struct bvh_halves *out)
 {
     struct bvh_grid grid;
     struct bvh_bins bins;
     uint32_t count = r->end - r->begin;
     const struct bvh_ref *from = &bvh_range_refs(b, r)[r->begin];
-    *in_spare = r->in_spare;
-    if (bvh_must_halve(b, r))
-        return split_median(b, r, half);
-    bool sized = sizes_matter(&r->extent, count);
-    if (sized) {
-        r->extent.area_limit = area_max(from, count);
-        sized = sizes_matter(&r->extent, count);
+    struct bvh_cut cut = {.axis = -1};
+    if (!bvh_must_halve(b, r)) {
+        bool sized = sizes_matter(&r->extent, count);
+        if (sized) {
+            r->extent.area_limit = area_max(from, count);
+            sized = sizes_matter(&r->extent, count);
+        }
+        grid_init(&r->extent, count, sized, &grid);
+        bins_fill(&grid, from, count, &bins);
+        cut = bins_cut(&grid, &bins, &out->half[0], &out->half[1]);
     }
-    grid_init(&r->extent, count, sized, &grid);
-    bins_fill(&grid, from, count, &bins);
-    struct bvh_cut cut = bins_cut(&grid, &bins, &half[0], &half[1]);
     if (cut.axis < 0)
-        return split_median(b, r, half);
-    struct bvh_scatter s = {.left_at = r->begin, .right_at = r->end - 1};
-    if (cut.axis == BVH_SIZE_AXIS)
-        scatter_as(&grid, &cut, true, true, from, count, bvh_range_other(b, r), &s);
-    else
-        scatter_as(&grid, &cut, false, true, from, count, bvh_range_other(b, r), &s);
-    for (int i = 0; i < 2; i++) {
-        memcpy(half[i].centre, s.centre[i], sizeof half[i].centre);
-        half[i].area_limit = r->extent.area_limit;
-    }
-    *in_spare = !r->in_spare;
-    return s.left_at;
+        split_median(b, r, out);
+    else if (!b->source || !bvh_spatial_worth(b, r, out->half) ||
+             !bvh_spatial_split(b, r, cut.cost, out))
+        split_binned(b, r, &grid, &bins, &cut, out);
 }
 
 static uint32_t subtree(const struct bvh_builder *b, const struct bvh_range *root, uint32_t next)
@@ -521,10 +532,9 @@ static uint32_t subtree(const struct bvh_builder *b, const struct bvh_range *roo
                 memcpy(&b->out->refs[r.begin], &refs[r.begin], (r.end - r.begin) * sizeof *refs);
             continue;
         }
-        struct bvh_extent half[2];
-        bool in_spare;
-        uint32_t middle = split_range(b, &r, &in_spare, half);
-        bvh_push_halves(stack, &top, &r, middle, in_spare, node, half);
+        struct bvh_halves halves;
+        split_range(b, &r, &halves);
+        bvh_push_halves(stack, &top, &r, &halves, node);
     }
     return next;
 }

@@ -259,12 +259,19 @@ static uint32_t bits_of(float f)
     return bits;
 }
 
+/* The largest extent of a triangle, of all of it: its reference may be a piece. */
+static __m128 extent_of(const float v[3][4])
+{
+    __m128 a = _mm_loadu_ps(v[0]), b = _mm_loadu_ps(v[1]), c = _mm_loadu_ps(v[2]);
+    return _mm_sub_ps(_mm_max_ps(_mm_max_ps(a, b), c), _mm_min_ps(_mm_min_ps(a, b), c));
+}
+
 /* The least code whose value is at least the largest extent of the triangles. */
-static uint32_t edge_code(const struct bvh_ref *refs, uint32_t count, uint32_t unit_bits)
+static uint32_t edge_code(const float v[BVH_BLOCK][3][4], uint32_t unit_bits)
 {
     __m128 most = _mm_setzero_ps();
-    for (uint32_t i = 0; i < count; i++)
-        most = _mm_max_ps(_mm_sub_ps(_mm_load_ps(refs[i].hi), _mm_load_ps(refs[i].lo)), most);
+    for (uint32_t i = 0; i < BVH_BLOCK; i++)
+        most = _mm_max_ps(extent_of(v[i]), most);
     most = _mm_max_ps(most, _mm_shuffle_ps(most, most, _MM_SHUFFLE(3, 0, 2, 1)));
     most = _mm_max_ss(most, _mm_shuffle_ps(most, most, _MM_SHUFFLE(2, 2, 2, 2)));
     float edge = _mm_cvtss_f32(most);
@@ -275,27 +282,35 @@ static uint32_t edge_code(const struct bvh_ref *refs, uint32_t count, uint32_t u
     return code < EDGE_CODES ? code : EDGE_CODES - 1;
 }
 
-/* The references of a leaf's lanes, and their ids with the edge code. */
-static void leaf_lanes(const struct writer *w, const struct bvh2_node *from,
-                       const struct bvh_ref *lanes[BVH_BLOCK], uint32_t id[BVH_BLOCK])
+/* A leaf's lanes. */
+struct lanes {
+    const struct bvh_ref *ref[BVH_BLOCK];
+    float v[BVH_BLOCK][3][4] __attribute__((aligned(16)));
+};
+
+/* Finds them, and writes their ids with the edge code. */
+static void leaf_lanes(const struct writer *w, const struct bvh2_node *from, struct lanes *out,
+                       uint32_t id[BVH_BLOCK])
 {
     const struct bvh_ref *refs = &w->planner->refs[from->left & ~BVH2_LEAF];
-    uint32_t code = edge_code(refs, from->right, w->edge_bits);
     for (uint32_t lane = 0; lane < BVH_BLOCK; lane++) {
-        lanes[lane] = &refs[lane < from->right ? lane : from->right - 1];
-        id[lane] =
-            lanes[lane]->primitive | (code >> lane & 1) << 31 | (code >> (4 + lane) & 1) << 30;
+        out->ref[lane] = &refs[lane < from->right ? lane : from->right - 1];
+        w->source->vertices(w->source->ctx, out->ref[lane], out->v[lane]);
     }
+    uint32_t code = edge_code((const float(*)[3][4])out->v, w->edge_bits);
+    for (uint32_t lane = 0; lane < BVH_BLOCK; lane++)
+        id[lane] =
+            out->ref[lane]->primitive | (code >> lane & 1) << 31 | (code >> (4 + lane) & 1) << 30;
 }
 
 static void write_packed(const struct writer *w, const struct bvh2_node *from,
                          struct bvh_packed *leaf)
 {
-    const struct bvh_ref *lanes[BVH_BLOCK];
-    leaf_lanes(w, from, lanes, leaf->id);
+    struct lanes lanes;
+    leaf_lanes(w, from, &lanes, leaf->id);
     for (uint32_t lane = 0; lane < BVH_BLOCK; lane++) {
         uint32_t vertex[3];
-        w->source->indices(w->source->ctx, lanes[lane], vertex);
+        w->source->indices(w->source->ctx, lanes.ref[lane], vertex);
         for (int i = 0; i < 3; i++)
             leaf->vertex[i][lane] = vertex[i];
     }
@@ -303,14 +318,11 @@ static void write_packed(const struct writer *w, const struct bvh2_node *from,
 
 static void write_leaf(const struct writer *w, const struct bvh2_node *from, struct bvh_leaf *leaf)
 {
-    const struct bvh_ref *lanes[BVH_BLOCK];
-    leaf_lanes(w, from, lanes, leaf->id);
-    float v[BVH_BLOCK][3][4] __attribute__((aligned(16)));
-    for (uint32_t lane = 0; lane < BVH_BLOCK; lane++)
-        w->source->vertices(w->source->ctx, lanes[lane], v[lane]);
+    struct lanes lanes;
+    leaf_lanes(w, from, &lanes, leaf->id);
     for (int i = 0; i < 3; i++) {
-        __m128 x = _mm_load_ps(v[0][i]), y = _mm_load_ps(v[1][i]);
-        __m128 z = _mm_load_ps(v[2][i]), unused = _mm_load_ps(v[3][i]);
+        __m128 x = _mm_load_ps(lanes.v[0][i]), y = _mm_load_ps(lanes.v[1][i]);
+        __m128 z = _mm_load_ps(lanes.v[2][i]), unused = _mm_load_ps(lanes.v[3][i]);
         _MM_TRANSPOSE4_PS(x, y, z, unused);
         _mm_store_ps(leaf->v[i][0], x);
         _mm_store_ps(leaf->v[i][1], y);
@@ -461,7 +473,7 @@ enum err bvh_new(struct bvh_ref *refs, size_t count, const struct bvh_how *how,
         return count ? ERR_LIMIT : ERR_OK;
     }
     struct bvh2 tree;
-    enum err err = bvh2_build(refs, (uint32_t)count, how, &tree);
+    enum err err = bvh2_build(refs, (uint32_t)count, how, source, &tree);
     if (err)
         return err;
     err = wide_build(&tree, how, source, &made);

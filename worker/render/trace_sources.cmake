@@ -8,6 +8,7 @@ set(trace_sources
   ${trace_dir}/accel_lazy.c
   ${trace_dir}/accel_trees.c
   ${trace_dir}/bvh_build.c
+  ${trace_dir}/bvh_spatial.c
   ${trace_dir}/bvh_split_avx2.c
   ${trace_dir}/bvh_split_sse2.c
   ${trace_dir}/bvh_wide.c
