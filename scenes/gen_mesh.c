@@ -198,3 +198,48 @@ enum err gen_needles(struct gen_mesh *m, uint32_t count, double radius, double l
     }
     return ERR_OK;
 }
+
+/* A box around a centre, turned about y and then about x, in units of the frame's grid. */
+static enum err add_beam(struct gen_mesh *m, double unit, double x, double y, double z,
+                         const double half[3])
+{
+    const double turn[3][3] = {{0.8, 0.0, 0.6}, {-0.168, 0.96, 0.224}, {-0.576, -0.28, 0.768}};
+    const double centre[3] = {x, y, z};
+    for (int face = 0; face < 6; face++) {
+        int axis = face % 3, u = (axis + 1) % 3, v = (axis + 2) % 3;
+        double local[3], corner[3], e[2][3];
+        local[axis] = centre[axis] + (face < 3 ? -half[axis] : half[axis]);
+        local[u] = centre[u] - half[u];
+        local[v] = centre[v] - half[v];
+        for (int k = 0; k < 3; k++) {
+            corner[k] = 0.0;
+            for (int i = 0; i < 3; i++)
+                corner[k] += unit * turn[k][i] * local[i];
+            e[0][k] = unit * turn[k][u] * (2.0 * half[u]);
+            e[1][k] = unit * turn[k][v] * (2.0 * half[v]);
+        }
+        TL_TRY(gen_quad(m, corner, e[0], e[1]));
+    }
+    return ERR_OK;
+}
+
+enum err gen_frame(struct gen_mesh *m, uint32_t side, uint32_t storeys, double width)
+{
+    const double unit = width / side, end = 0.5 * (side - 1.0), half = 0.5 * side;
+    const double column[3] = {0.05, 0.5, 0.05}, rail[3] = {0.01, 0.01, 0.5};
+    const double along[3] = {half, 0.06, 0.04}, across[3] = {0.04, 0.06, half};
+    for (uint32_t storey = 0; storey < storeys; storey++) {
+        double y = storey - 0.5 * (storeys - 1.0);
+        for (uint32_t i = 0; i < side; i++) {
+            TL_TRY(add_beam(m, unit, i - end, y + 0.4, 0.0, across));
+            TL_TRY(add_beam(m, unit, 0.0, y + 0.4, i - end, along));
+            for (uint32_t j = 0; j < side; j++)
+                TL_TRY(add_beam(m, unit, i - end, y, j - end, column));
+            for (uint32_t j = 0; j + 1 < side; j++) {
+                TL_TRY(add_beam(m, unit, i - end + 0.2, y - 0.2, j + 0.5 - end, rail));
+                TL_TRY(add_beam(m, unit, i - end + 0.2, y - 0.3, j + 0.5 - end, rail));
+            }
+        }
+    }
+    return ERR_OK;
+}

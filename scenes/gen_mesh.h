@@ -37,6 +37,11 @@ TL_NODISCARD enum err gen_ball(struct gen_mesh *m, uint32_t side, const double c
 TL_NODISCARD enum err gen_needles(struct gen_mesh *m, uint32_t count, double radius, double length,
                                   double width, uint32_t seed);
 
+/* The bare frame of a house that stands askew: columns, beams and rails on a grid of side * side
+ * and so many storeys, `width` wide; long thin boxes, whose own boxes overlap. Some 36 side^2
+ * triangles a storey. */
+TL_NODISCARD enum err gen_frame(struct gen_mesh *m, uint32_t side, uint32_t storeys, double width);
+
 /* [0, 1), the same on every machine; state must not be 0. */
 double gen_random(uint64_t *state);
 

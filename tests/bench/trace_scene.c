@@ -6,8 +6,8 @@
 #include "common/mem.h"
 #include "common/scene.h"
 
-const char *const trace_scene_names[TRACE_SCENE_COUNT] = {"cornell", "ball70k", "ball1m",
-                                                          "open1m",  "needles", "instances"};
+const char *const trace_scene_names[TRACE_SCENE_COUNT] = {
+    "cornell", "ball70k", "ball1m", "open1m", "needles", "instances", "frame"};
 const char *const trace_rays_names[TRACE_RAYS_COUNT] = {"camera", "bounce", "shadow", "random"};
 
 enum { INSTANCES_SIDE = 10, TILE = 16 };
@@ -60,6 +60,8 @@ static enum err make_meshes(struct trace_scene *s, enum trace_scene_id id)
         return gen_ball(&s->mesh[0], 76, origin, 0.6, 0.5, 1);
     if (id == TRACE_NEEDLES)
         return gen_needles(&s->mesh[0], 100000, 0.8, 0.4, 0.002, 5);
+    if (id == TRACE_FRAME)
+        return gen_frame(&s->mesh[0], 16, 6, 1.2);
     if (id == TRACE_INSTANCES)
         return add_instances(s);
     return gen_ball(&s->mesh[0], 289, origin, 0.6, 0.5, 1);

@@ -58,8 +58,8 @@ static void check_agreement(const char *name, const struct trace_scene *s, size_
 static void test_scenes_agree(void **state)
 {
     (void)state;
-    static const size_t few[TRACE_SCENE_COUNT] = {3000, 16, 0, 0, 16, 4};
-    static const size_t many[TRACE_SCENE_COUNT] = {100000, 100000, 1000, 1000, 100000, 2000};
+    static const size_t few[TRACE_SCENE_COUNT] = {3000, 16, 0, 0, 16, 4, 16};
+    static const size_t many[TRACE_SCENE_COUNT] = {100000, 100000, 1000, 1000, 100000, 2000, 50000};
     for (int id = 0; id < TRACE_SCENE_COUNT; id++) {
         size_t count = is_long ? many[id] : few[id];
         struct trace_scene s;

@@ -229,7 +229,8 @@ static void test_pieces_pay_for_needles(void **state)
     const struct {
         enum trace_scene_id scene;
         double cost_most;
-    } cases[] = {{TRACE_NEEDLES, 0.75}, {TRACE_CORNELL, 1.0}, {TRACE_BALL70K, 1.005}};
+    } cases[] = {
+        {TRACE_NEEDLES, 0.75}, {TRACE_FRAME, 0.6}, {TRACE_CORNELL, 1.0}, {TRACE_BALL70K, 1.005}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct trace_scene s;
         struct accel_stats whole, pieces;
