@@ -23,7 +23,7 @@ const char *const job_end_names[JOB_END_COUNT] = {
  * too many costs little, samples too many are not got back. */
 static const double FIRST_POWER = 1.8;
 /* By which power the next look is set. */
-static const double NEXT_POWER = 1.3;
+static const double NEXT_POWER = 1.7;
 /* Between two looks samples grow by at least and at most so much. */
 static const double GROWTH_MIN = 1.06, GROWTH_MAX = 4;
 /* What the next look should find, of what is needed. */

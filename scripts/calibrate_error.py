@@ -162,7 +162,7 @@ def part_target(bench, truths, runs, spp, max_spp):
 
 
 # As master/job_plan.c has them.
-QUANTILE, FIRST_POWER, NEXT_POWER, HEAVY_GROWTH, EFFECTIVE_MIN = 2.1, 1.8, 1.3, 1.25, 8
+QUANTILE, FIRST_POWER, NEXT_POWER, HEAVY_GROWTH, EFFECTIVE_MIN = 2.1, 1.8, 1.7, 1.25, 8
 GROWTH_MIN, GROWTH_MAX, GROWTH_MARGIN = 1.06, 4, 1.02
 
 
