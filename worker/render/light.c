@@ -270,7 +270,16 @@ uint32_t light_sample_many(const struct light_table *t, vec3 p, vec3 n, uint32_t
 bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, double u, double v,
                   struct light_sample *s)
 {
-    return light_sample_many(t, p, n, 1, &choose, &u, &v, s) != 0;
+    uint32_t light;
+    double probability;
+    struct sphere_view view = {.light = SCENE_NONE};
+    if (t->count == 0)
+        return false;
+    choose_lights(t, p, n, 1, &choose, &light, &probability);
+    if (light == SCENE_NONE || !sample_light(t, light, p, n, u, v, &view, s))
+        return false;
+    s->pdf *= probability;
+    return true;
 }
 
 double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,

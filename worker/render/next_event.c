@@ -20,6 +20,34 @@ vec3 next_event_side(const struct shade *at)
     return at->wo.z < 0 ? v3_neg(at->frame.n) : at->frame.n;
 }
 
+/* What a candidate, one of `count`, sends back along the path from local wi. */
+static rgb arriving_from(const struct render_scene *scene, const struct shade *at, uint32_t count,
+                         const struct light_sample *light, vec3 wi, rgb f, double pdf)
+{
+    double weight = shade_tilt_shadowing(at, light->wi, wi.z) / light->pdf;
+    if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
+        weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf)
+                                 : next_event_weight(count * light->pdf, pdf);
+    return rgb_scale(rgb_mul(f, light->radiance), weight);
+}
+
+/* The only candidate. */
+static bool draw_one(const struct render_scene *scene, const struct shade *at, double choose,
+                     const double u[2], struct next_event *out)
+{
+    struct light_sample *light = &out->light;
+    if (!light_sample(&scene->lights, at->surface.p, next_event_side(at), choose, u[0], u[1],
+                      light))
+        return false;
+    vec3 wi = frame_to_local(&at->frame, light->wi);
+    if (!shade_is_consistent(at, light->wi, wi.z))
+        return false;
+    double pdf;
+    rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
+    out->arriving = arriving_from(scene, at, 1, light, wi, f, pdf);
+    return !rgb_is_black(f);
+}
+
 /* What the candidates in `there`, of `count`, send back along the path; black: nothing. */
 static void weigh(const struct render_scene *scene, const struct shade *at, uint32_t count,
                   uint32_t there, const struct light_sample lights[], rgb arriving[])
@@ -27,7 +55,6 @@ static void weigh(const struct render_scene *scene, const struct shade *at, uint
     vec3 wi[BSDF_MANY] = {{0}};
     double pdf[BSDF_MANY];
     for (uint32_t k = 0; k < count; k++) {
-        arriving[k] = rgb_grey(0);
         if (there >> k & 1)
             wi[k] = frame_to_local(&at->frame, lights[k].wi);
         if (!(there >> k & 1) || !shade_is_consistent(at, lights[k].wi, wi[k].z))
@@ -35,16 +62,10 @@ static void weigh(const struct render_scene *scene, const struct shade *at, uint
     }
     rgb f[BSDF_MANY];
     bsdf_eval_many(&at->bsdf, at->wo, there, wi, f, pdf);
-    for (uint32_t k = 0; k < count; k++) {
-        const struct light_sample *light = &lights[k];
-        if (!(there >> k & 1) || rgb_is_black(f[k]))
-            continue;
-        double weight = shade_tilt_shadowing(at, light->wi, wi[k].z) / light->pdf;
-        if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
-            weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf[k])
-                                     : next_event_weight(count * light->pdf, pdf[k]);
-        arriving[k] = rgb_scale(rgb_mul(f[k], light->radiance), weight);
-    }
+    for (uint32_t k = 0; k < count; k++)
+        arriving[k] = !(there >> k & 1) || rgb_is_black(f[k])
+                          ? rgb_grey(0)
+                          : arriving_from(scene, at, count, &lights[k], wi[k], f[k], pdf[k]);
 }
 
 /* x + k a, wrapped into [0,1). */
@@ -75,6 +96,8 @@ static uint32_t draw_lights(const struct render_scene *scene, const struct shade
 bool next_event_draw(const struct render_scene *scene, const struct shade *at, uint32_t count,
                      double choose, double keep, const double u[2], struct next_event *out)
 {
+    if (count == 1)
+        return draw_one(scene, at, choose, u, out);
     struct light_sample lights[NEXT_EVENT_CANDIDATES_MAX];
     uint32_t there = draw_lights(scene, at, count, choose, u, lights), kept = 0;
     double sum = 0, kept_brings = 0;

@@ -35,6 +35,18 @@ static inline void warp_sincos_eighth(double x, double *sine, double *cosine)
     *cosine = 1.0 + z * c;
 }
 
+/* a if `first`, else b, by the bits: which of them it is cannot be predicted, and a wrong guess
+ * costs more than the rest of a map. */
+static inline double warp_pick(bool first, double a, double b)
+{
+    uint64_t bits_a, bits_b;
+    memcpy(&bits_a, &a, sizeof a);
+    memcpy(&bits_b, &b, sizeof b);
+    bits_b ^= (bits_a ^ bits_b) & (0 - (uint64_t)first);
+    memcpy(&b, &bits_b, sizeof b);
+    return b;
+}
+
 /* sin and cos of 2 * pi * u for u in [0,1). */
 static inline void warp_sincos_turn(double u, double *sine, double *cosine)
 {
@@ -43,10 +55,10 @@ static inline void warp_sincos_turn(double u, double *sine, double *cosine)
     int quarter = (int)(quarters + 0.5);
     double s, c;
     warp_sincos_eighth((quarters - quarter) * 2, &s, &c);
-    double even_s = quarter & 1 ? c : s;
-    double even_c = quarter & 1 ? -s : c;
-    *sine = quarter & 2 ? -even_s : even_s;
-    *cosine = quarter & 2 ? -even_c : even_c;
+    double even_s = warp_pick(quarter & 1, c, s);
+    double even_c = warp_pick(quarter & 1, -s, c);
+    *sine = warp_pick(quarter & 2, -even_s, even_s);
+    *cosine = warp_pick(quarter & 2, -even_c, even_c);
 }
 
 /* The u in [0,1] for which sine and cosine of 2 pi u are in the proportion of y and x, to about
@@ -82,12 +94,12 @@ static inline void warp_disk(double u, double v, double *x, double *y)
 {
     double a = 2 * u - 1, b = 2 * v - 1;
     bool wide = fabs(a) > fabs(b);
-    double radius = wide ? a : b;
-    double ratio = radius == 0 ? 0 : (wide ? b : a) / radius;
+    double radius = warp_pick(wide, a, b);
+    double ratio = radius == 0 ? 0 : warp_pick(wide, b, a) / radius;
     double s, c;
     warp_sincos_eighth(ratio, &s, &c);
-    *x = radius * (wide ? c : s);
-    *y = radius * (wide ? s : c);
+    *x = radius * warp_pick(wide, c, s);
+    *y = radius * warp_pick(wide, s, c);
 }
 
 /* Density cos / pi about +z. */
