@@ -2,6 +2,8 @@
  * scene's arena. One thread. */
 #include "worker/scene/scene_parts.h"
 
+#include <emmintrin.h>
+
 #include "common/dmath.h"
 #include "worker/render/warp.h"
 
@@ -25,12 +27,17 @@ struct angle {
     double sine, cosine;
 };
 
-struct block {
-    double weight;       /* of its cells */
-    double solid;        /* its share of the sphere */
-    vec3 middle;         /* the mean direction of its light, in the scene; shorter than 1 */
-    struct angle radius; /* no point of it is further from that */
+/* All blocks, a property a row: two are looked at in one vector. */
+struct blocks {
+    double weight[SKY_BLOCKS]; /* of the cells */
+    double solid[SKY_BLOCKS];  /* as shares of the sphere */
+    double middle[3]
+                 [SKY_BLOCKS]; /* the mean direction of the light, in the scene; shorter than 1 */
+    struct angle radius[SKY_BLOCKS]; /* no point of the block is further from that */
+    struct angle widest;
 };
+
+_Static_assert(SKY_BLOCKS_ACROSS % 2 == 0 && SKY_BLOCKS_DOWN % 2 == 0, "blocks come in pairs");
 
 /* The inverse of the transform's rotation: its columns made orthonormal, transposed. */
 static void sky_rotation(const double m[16], double to_local[9])
@@ -161,32 +168,39 @@ static vec3 *column_directions(const struct sky_map *m)
 }
 
 /* Sums over the cells of a block. */
-static struct block block_of(const struct environment *sky, const vec3 *columns, uint32_t across,
-                             uint32_t down)
+static void add_block(const struct environment *sky, const vec3 *columns, uint32_t number,
+                      struct blocks *out)
 {
     const struct sky_map *m = &sky->map;
-    uint32_t left = across * m->block_width, top = down * m->block_height;
-    struct block b = {0};
+    uint32_t left = number % SKY_BLOCKS_ACROSS * m->block_width;
+    uint32_t top = number / SKY_BLOCKS_ACROSS * m->block_height;
     vec3 moment = {0, 0, 0};
+    double weight = 0, solid = 0;
     for (uint32_t y = top; y < top + m->block_height; y++) {
         const double *cells = m->along + y * (size_t)(m->width + 1) + left;
-        double weight = cells[m->block_width] - cells[0];
+        double whole = cells[m->block_width] - cells[0];
         double sine = dmath_sinpi((y + 0.5) / m->height);
-        vec3 row = v3(0, dmath_cospi((y + 0.5) / m->height) * weight, 0);
+        vec3 row = v3(0, dmath_cospi((y + 0.5) / m->height) * whole, 0);
         for (uint32_t x = 0; x < m->block_width; x++)
             row = v3_mad(row, columns[left + x], (cells[x + 1] - cells[x]) * sine);
         moment = v3_add(moment, row);
-        b.weight += weight;
-        b.solid += sine * m->block_width;
+        weight += whole;
+        solid += sine * m->block_width;
     }
-    b.middle = v3_scale(environment_to_scene(sky, moment), 1 / b.weight);
-    b.radius = (struct angle){.sine = 0, .cosine = 1};
-    vec3 unit = v3_unit(b.middle);
+    vec3 middle = v3_scale(environment_to_scene(sky, moment), 1 / weight), unit = v3_unit(middle);
+    struct angle radius = {.sine = 0, .cosine = 1};
     for (int k = 0; k < 9; k++) {
         double x = left + (k % 3) * 0.5 * m->block_width, y = top + (k / 3) * 0.5 * m->block_height;
-        reach(&b.radius, sky_direction(sky, x, y), unit);
+        reach(&radius, sky_direction(sky, x, y), unit);
     }
-    return b;
+    out->weight[number] = weight;
+    out->solid[number] = solid;
+    out->middle[0][number] = middle.x;
+    out->middle[1][number] = middle.y;
+    out->middle[2][number] = middle.z;
+    out->radius[number] = radius;
+    if (radius.cosine < out->widest.cosine)
+        out->widest = radius;
 }
 
 /* No normal of a table is further from its grid point n at x, y than this. */
@@ -209,93 +223,110 @@ static double sine_of_sum(const struct angle *a, const struct angle *b)
     return narrow ? a->sine * b->cosine + a->cosine * b->sine : 1;
 }
 
-/* The mean cosine of the light of each block at normals as far as `radius` from n: as if it spread
- * evenly by the radii about its mean, where that is above the horizon. 0 only if no such normal
- * sees any of the block. `widest`: the largest radius of a block. */
-static void mean_cosines(const struct block *blocks, const struct angle *widest, vec3 n,
-                         const struct angle *radius, double *out)
+/* Of a block near the horizon, whose light has the cosine q: as if it spread evenly by the radii
+ * about its mean. */
+static double mean_cosine(double q, double spread)
 {
-    double band = sine_of_sum(widest, radius);
-    for (uint32_t i = 0; i < SKY_BLOCKS; i++) {
-        double q = v3_dot(n, blocks[i].middle);
-        out[i] = q > 0 ? q : 0;
-        /* Far from the horizon most blocks lie to one side of it. */
-        if (fabs(q) >= band)
+    if (fabs(q) < spread)
+        return (q + spread) * (q + spread) / (4 * spread);
+    return q > 0 ? q : 0;
+}
+
+/* The mean cosine of the light of each block at normals as far as `radius` from n. 0 only if no
+ * such normal sees any of the block. */
+static void mean_cosines(const struct blocks *b, vec3 n, const struct angle *radius, double *out)
+{
+    __m128d band = _mm_set1_pd(sine_of_sum(&b->widest, radius)), none = _mm_setzero_pd();
+    __m128d nx = _mm_set1_pd(n.x), ny = _mm_set1_pd(n.y), nz = _mm_set1_pd(n.z);
+    for (uint32_t i = 0; i < SKY_BLOCKS; i += 2) {
+        __m128d q = _mm_add_pd(_mm_mul_pd(nx, _mm_loadu_pd(b->middle[0] + i)),
+                               _mm_mul_pd(ny, _mm_loadu_pd(b->middle[1] + i)));
+        q = _mm_add_pd(q, _mm_mul_pd(nz, _mm_loadu_pd(b->middle[2] + i)));
+        __m128d size = _mm_max_pd(q, _mm_sub_pd(none, q));
+        _mm_storeu_pd(out + i, _mm_max_pd(q, none));
+        /* Most blocks lie far from the horizon, to one side of it. */
+        if (_mm_movemask_pd(_mm_cmplt_pd(size, band)) == 0)
             continue;
-        double spread = sine_of_sum(&blocks[i].radius, radius);
-        if (fabs(q) < spread)
-            out[i] = (q + spread) * (q + spread) / (4 * spread);
+        double both[2];
+        _mm_storeu_pd(both, q);
+        for (uint32_t k = 0; k < 2; k++)
+            out[i + k] = mean_cosine(both[k], sine_of_sum(&b->radius[i + k], radius));
     }
 }
 
-static void cumulate(const double *weights, uint32_t count, double *sums)
+/* Cumulates weights to shares; returns their sum. Where nothing is seen nothing is drawn. */
+static double cumulate(const double *weights, uint32_t count, double *sums)
 {
-    double sum = 0, running = 0;
-    for (uint32_t i = 0; i < count; i++)
-        sum += weights[i];
+    double sum = 0;
     sums[0] = 0;
-    /* Where nothing is seen nothing is drawn. The last is 1 and no sum above it. */
+    for (uint32_t i = 0; i < count; i++)
+        sums[i + 1] = sum += weights[i];
     double scale = sum > 0 ? 1 / sum : 0;
-    for (uint32_t i = 0; i < count; i++) {
-        running += weights[i];
-        double share = running * scale;
-        sums[i + 1] = running < sum && share < 1 ? share : 1;
+    for (uint32_t i = 1; i <= count; i++) {
+        double share = sums[i] * scale;
+        sums[i] = share < 1 ? share : 1;
     }
+    /* The last is 1, and what has no weight at the end begins there. */
+    for (uint32_t i = count; i > 0 && weights[i - 1] <= 0; i--)
+        sums[i - 1] = 1;
+    sums[0] = 0;
+    sums[count] = 1;
+    return sum;
 }
 
 /* How blocks are drawn that are seen under these mean cosines. */
-static void choose_blocks(const struct block *blocks, const double *cosines, double compensation,
+static void choose_blocks(const struct blocks *b, const double *cosines, double compensation,
                           struct sky_choice *out)
 {
-    double light = 0, solid = 0;
-    for (uint32_t i = 0; i < SKY_BLOCKS; i++) {
-        light += blocks[i].weight * cosines[i];
-        solid += blocks[i].solid * cosines[i];
+    __m128d light = _mm_setzero_pd(), solid = light;
+    for (uint32_t i = 0; i < SKY_BLOCKS; i += 2) {
+        __m128d cosine = _mm_loadu_pd(cosines + i);
+        light = _mm_add_pd(light, _mm_mul_pd(cosine, _mm_loadu_pd(b->weight + i)));
+        solid = _mm_add_pd(solid, _mm_mul_pd(cosine, _mm_loadu_pd(b->solid + i)));
     }
+    light = _mm_add_pd(light, _mm_unpackhi_pd(light, light));
+    solid = _mm_add_pd(solid, _mm_unpackhi_pd(solid, solid));
+    __m128d less = _mm_set1_pd(compensation * _mm_cvtsd_f64(light) / _mm_cvtsd_f64(solid));
     double rows[SKY_BLOCKS_DOWN], shares[SKY_BLOCKS_ACROSS];
-    double less = compensation * light / solid;
     for (uint32_t y = 0; y < SKY_BLOCKS_DOWN; y++) {
-        rows[y] = 0;
-        for (uint32_t x = 0; x < SKY_BLOCKS_ACROSS; x++) {
+        for (uint32_t x = 0; x < SKY_BLOCKS_ACROSS; x += 2) {
             uint32_t i = y * SKY_BLOCKS_ACROSS + x;
-            double share = blocks[i].weight - less * blocks[i].solid;
-            double least = BLOCK_FLOOR * blocks[i].weight;
-            shares[x] = (share > least ? share : least) * cosines[i];
-            rows[y] += shares[x];
+            __m128d weight = _mm_loadu_pd(b->weight + i);
+            __m128d share = _mm_sub_pd(weight, _mm_mul_pd(less, _mm_loadu_pd(b->solid + i)));
+            share = _mm_max_pd(share, _mm_mul_pd(weight, _mm_set1_pd(BLOCK_FLOOR)));
+            _mm_storeu_pd(shares + x, _mm_mul_pd(share, _mm_loadu_pd(cosines + i)));
         }
-        cumulate(shares, SKY_BLOCKS_ACROSS, out->column[y]);
+        rows[y] = cumulate(shares, SKY_BLOCKS_ACROSS, out->column[y]);
     }
-    cumulate(rows, SKY_BLOCKS_DOWN, out->row);
+    (void)cumulate(rows, SKY_BLOCKS_DOWN, out->row);
 }
 
 static enum err choose_at_normals(const struct environment *sky, double compensation,
                                   struct sky_choice *choices)
 {
-    struct block *blocks = mem_alloc_array(SKY_BLOCKS, sizeof *blocks);
+    struct blocks *b = mem_alloc(sizeof *b);
     vec3 *columns = column_directions(&sky->map);
-    if (!blocks || !columns) {
-        mem_free(blocks);
+    if (!b || !columns) {
+        mem_free(b);
         mem_free(columns);
         return ERR_NOMEM;
     }
     double cosines[SKY_BLOCKS];
-    struct angle widest = {.sine = 0, .cosine = 1};
+    b->widest = (struct angle){.sine = 0, .cosine = 1};
     for (uint32_t i = 0; i < SKY_BLOCKS; i++) {
-        blocks[i] = block_of(sky, columns, i % SKY_BLOCKS_ACROSS, i / SKY_BLOCKS_ACROSS);
+        add_block(sky, columns, i, b);
         cosines[i] = 1;
-        if (blocks[i].radius.cosine < widest.cosine)
-            widest = blocks[i].radius;
     }
-    choose_blocks(blocks, cosines, compensation, &choices[SKY_ANYWHERE]);
+    choose_blocks(b, cosines, compensation, &choices[SKY_ANYWHERE]);
     for (uint32_t i = 0; i < SKY_NORMALS; i++) {
         double step = 2.0 / (SKY_GRID - 1);
         double x = (i % SKY_GRID) * step - 1, y = (double)(i / SKY_GRID) * step - 1;
         vec3 n = sky_unfolded(x, y);
         struct angle radius = table_radius(x, y, n);
-        mean_cosines(blocks, &widest, n, &radius, cosines);
-        choose_blocks(blocks, cosines, compensation, &choices[i]);
+        mean_cosines(b, n, &radius, cosines);
+        choose_blocks(b, cosines, compensation, &choices[i]);
     }
-    mem_free(blocks);
+    mem_free(b);
     mem_free(columns);
     return ERR_OK;
 }
