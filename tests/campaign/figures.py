@@ -41,6 +41,9 @@ def main():
     print(f"| a step of the master's disk that fails (ENOSPC, EIO) | {bound(total(failed, 'runs'))} |")
     for row in of.get("allocation", []):
         print(f"| one allocation of the {row['program']} fails ({row['allocations']}, of {row['total']:,}) | {bound(row['runs'])} |")
+    orders = of.get("orders", [])
+    if orders:
+        print(f"| an order of somebody who changes their mind, at a random moment of six jobs | {bound(total(orders, 'orders'))} |")
     network = of.get("network", [])
     if network:
         print(f"| a farm behind a faulty network ({len(network)} faults) | {bound(total(network, 'runs'))} |")
