@@ -36,8 +36,8 @@ static const double PIVOT_SPP = 16;
  * that the error is a little less than that asks for, and where it falls steeply more so.
  * Measured. */
 static const double CLAIM_QUANTILE = 2.1 * 1.4142135623730951, CLAIM_EFFECTIVE_MIN = 8;
-static const double CLAIM_STEP = 1.08, CLAIM_SPREAD = 0.2;
-static const double STEEP_POWER = 1.2, STEEP_STEP = 0.4;
+static const double CLAIM_STEP = 1.05, CLAIM_SPREAD = 0.2;
+static const double STEEP_POWER = 1.2, STEEP_STEP = 0.3;
 /* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
 static const double PILOT_PIXELS_MAX = 512.0 * 512.0;
 

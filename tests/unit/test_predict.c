@@ -123,9 +123,9 @@ static void test_target(void **state)
     (void)state;
     struct pilots p = pilots_of(1.5, 0, 0);
     struct job_spec spec = {.stop = JOB_STOP_ERROR, .spp = 65536, .target_error = 1e-4};
-    /* 1.08 times for the steps of looks, and 1.27 for samples that are no power of two. */
-    near(predict(&p, &spec).spp_mean, 16 * pow(1.08 * 1.27 * 0.01 / 1e-4, 1 / 1.5), 0.06);
-    double steps = 1.08 * (1 + 0.4 * (predict_fit_error(&p).power - 1.2));
+    /* 1.05 times for the steps of looks, and 1.27 for samples that are no power of two. */
+    near(predict(&p, &spec).spp_mean, 16 * pow(1.05 * 1.27 * 0.01 / 1e-4, 1 / 1.5), 0.06);
+    double steps = 1.05 * (1 + 0.3 * (predict_fit_error(&p).power - 1.2));
     near(predict(&p, &spec).relmse, 1e-4 / steps, 1e-9);
     /* A deviation of a tenth: the bound is exp(2.1 sqrt(2) / 10) away. In four times the pixels
      * half. */
