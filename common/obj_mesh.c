@@ -6,13 +6,16 @@
 #include "common/mem.h"
 #include "common/model_file.h"
 
-/* Corner -> vertex, by open addressing; a slot holds vertex + 1. */
+/* Corner -> vertex. Most corners are the vertex that their position was last, which one look at a
+ * small table tells; the others are found by open addressing, at most half full. Both hold
+ * vertex + 1. */
 struct welder {
     const struct obj_model *model;
     struct obj_corner *vertices;
-    size_t count;
+    size_t count, capacity;
     uint32_t *slots;
     size_t mask;
+    uint32_t *last; /* of each position; NULL: for a small part of the model it is not worth it */
 };
 
 static size_t hash(const struct obj_corner *c)
@@ -23,17 +26,63 @@ static size_t hash(const struct obj_corner *c)
     return (size_t)(h ^ (h >> 31));
 }
 
+static bool same(const struct obj_corner *a, const struct obj_corner *b)
+{
+    return a->position == b->position && a->uv == b->uv && a->normal == b->normal;
+}
+
+/* The vertex + 1 that the corner is, or 0. */
+static uint32_t find(const struct welder *w, const struct obj_corner *c)
+{
+    for (size_t slot = hash(c) & w->mask; w->slots[slot]; slot = (slot + 1) & w->mask)
+        if (same(&w->vertices[w->slots[slot] - 1], c))
+            return w->slots[slot];
+    return 0;
+}
+
+static void enter(struct welder *w, uint32_t vertex)
+{
+    size_t slot = hash(&w->vertices[vertex - 1]) & w->mask;
+    while (w->slots[slot])
+        slot = (slot + 1) & w->mask;
+    w->slots[slot] = vertex;
+}
+
+/* Room for one more vertex. */
+static bool grow(struct welder *w)
+{
+    if (!mem_grow((void **)&w->vertices, w->count, &w->capacity, sizeof *w->vertices))
+        return false;
+    if (2 * (w->count + 1) <= w->mask + 1)
+        return true;
+    uint32_t *slots = mem_calloc(2 * (w->mask + 1), sizeof *slots);
+    if (!slots)
+        return false;
+    mem_free(w->slots);
+    w->slots = slots;
+    w->mask = 2 * w->mask + 1;
+    for (size_t i = 0; i < w->count; i++)
+        enter(w, (uint32_t)i + 1);
+    return true;
+}
+
+/* The vertex + 1 of a corner; 0: out of memory. */
 static uint32_t weld(struct welder *w, const struct obj_corner *c)
 {
-    size_t slot = hash(c) & w->mask;
-    for (; w->slots[slot]; slot = (slot + 1) & w->mask) {
-        const struct obj_corner *v = &w->vertices[w->slots[slot] - 1];
-        if (v->position == c->position && v->uv == c->uv && v->normal == c->normal)
-            return w->slots[slot] - 1;
+    uint32_t *last = w->last ? &w->last[c->position] : NULL;
+    if (last && *last && same(&w->vertices[*last - 1], c))
+        return *last;
+    uint32_t vertex = last && *last == 0 ? 0 : find(w, c); /* a new position is a new vertex */
+    if (vertex == 0) {
+        if (!grow(w))
+            return 0;
+        w->vertices[w->count] = *c;
+        vertex = (uint32_t)++w->count;
+        enter(w, vertex);
     }
-    w->vertices[w->count] = *c;
-    w->slots[slot] = (uint32_t)++w->count;
-    return w->slots[slot] - 1;
+    if (last)
+        *last = vertex;
+    return vertex;
 }
 
 static bool is_wanted(const struct obj_triangle *t, uint32_t material)
@@ -43,13 +92,12 @@ static bool is_wanted(const struct obj_triangle *t, uint32_t material)
 
 static bool welder_init(struct welder *w, const struct obj_model *model, size_t corner_count)
 {
-    size_t slots = 16;
-    while (slots < 2 * corner_count)
-        slots *= 2;
-    *w = (struct welder){.model = model, .mask = slots - 1};
-    w->vertices = mem_alloc_array(corner_count, sizeof *w->vertices);
-    w->slots = mem_calloc(slots, sizeof *w->slots);
-    return w->vertices && w->slots;
+    enum { SLOTS_MIN = 1024, POSITIONS_A_CORNER_MAX = 4 };
+    bool wants_last = model->position_count / POSITIONS_A_CORNER_MAX <= corner_count;
+    *w = (struct welder){.model = model, .mask = SLOTS_MIN - 1};
+    w->slots = mem_calloc(SLOTS_MIN, sizeof *w->slots);
+    w->last = wants_last ? mem_calloc(model->position_count, sizeof *w->last) : NULL;
+    return w->slots && (w->last || !wants_last);
 }
 
 static void unit_normal(const double *n, float out[3])
@@ -105,13 +153,19 @@ enum err obj_mesh(const struct obj_model *model, uint32_t material, struct scene
     struct scene_mesh m = {.triangle_count = (uint32_t)count};
     bool good = welder_init(&w, model, 3 * count);
     m.indices = mem_alloc_array(3 * count, sizeof *m.indices);
-    for (size_t i = 0; good && m.indices && i < model->triangle_count; i++)
-        for (size_t j = 0; j < 3 && is_wanted(&model->triangles[i], material); j++)
-            m.indices[at++] = weld(&w, &model->triangles[i].corners[j]);
+    good = good && m.indices;
+    for (size_t i = 0; good && i < model->triangle_count; i++) {
+        for (size_t j = 0; good && j < 3 && is_wanted(&model->triangles[i], material); j++) {
+            uint32_t vertex = weld(&w, &model->triangles[i].corners[j]);
+            good = vertex != 0;
+            m.indices[at++] = vertex - 1;
+        }
+    }
     m.vertex_count = (uint32_t)w.count;
-    good = good && m.indices && fill_vertices(&w, &m);
+    good = good && fill_vertices(&w, &m);
     mem_free(w.vertices);
     mem_free(w.slots);
+    mem_free(w.last);
     if (!good) {
         scene_mesh_release(&m);
         return ERR_NOMEM;

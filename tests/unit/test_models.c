@@ -287,6 +287,35 @@ static void hostile_polygons_end(void **state)
             assert_true(triangles[t][j] < CORNERS);
 }
 
+/* Three positions with many coordinates each, then all of them again: as many vertices as there are
+ * kinds of corners, in the order of their first use. */
+static void obj_corners_become_few_vertices(void **state)
+{
+    (void)state;
+    enum { TRIANGLES = 3000 };
+    struct buf b;
+    struct loaded l;
+    buf_init(&b);
+    buf_printf(&b, "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5\n");
+    for (int i = 0; i < TRIANGLES; i++)
+        buf_printf(&b, "vt %d.5 0.25\n", i);
+    for (int i = 0; i < 2 * TRIANGLES; i++) {
+        int uv = i % TRIANGLES + 1;
+        buf_printf(&b, "f 1/%d 2/%d 3/%d\n", uv, uv, uv);
+    }
+    buf_put_u8(&b, 0);
+    load_obj(&l, (const char *)b.data);
+    assert_int_equal(l.e, ERR_OK);
+    assert_int_equal(l.mesh.triangle_count, 2 * TRIANGLES);
+    assert_int_equal(l.mesh.vertex_count, 3 * TRIANGLES);
+    for (uint32_t i = 0; i < 6 * TRIANGLES; i++)
+        assert_int_equal(l.mesh.indices[i], i % (3 * TRIANGLES));
+    for (uint32_t v = 0; v < 3 * TRIANGLES; v++)
+        assert_true((double)l.mesh.uvs[2 * (size_t)v] == v / 3 + 0.5);
+    unload(&l);
+    buf_release(&b);
+}
+
 static const char ply_header[] = "element vertex 4\nproperty double x\nproperty double y\n"
                                  "property double z\nelement face 1\n"
                                  "property list uchar int vertex_indices\nend_header\n";
@@ -532,6 +561,7 @@ int main(void)
         cmocka_unit_test(obj_vertices_may_come_later),
         cmocka_unit_test(concave_polygons_are_cut_along_their_shape),
         cmocka_unit_test(hostile_polygons_end),
+        cmocka_unit_test(obj_corners_become_few_vertices),
         cmocka_unit_test(ply_gives_the_same_in_every_form),
         cmocka_unit_test(ply_triangles_and_others_take_turns),
         cmocka_unit_test(ply_corners_have_coordinates),
