@@ -54,6 +54,7 @@ static inline uint64_t flat_filter(const struct accel_flat *f, const struct trac
     fw sx = FW(set1_ps)(r->filter_shear[0]), sy = FW(set1_ps)(r->filter_shear[1]);
     fw slope = FW(set1_ps)(r->filter_slope), least_error = FW(set1_ps)(r->filter_floor);
     uint64_t mixed = 0;
+#pragma GCC unroll 4
     for (uint32_t at = 0; at < f->count; at += FLAT_LANES) {
         fw x[3], y[3];
         for (int i = 0; i < 3; i++) {
@@ -218,16 +219,17 @@ flat_blocks_careful(const struct accel_flat *f, const struct trace_ray *r, doubl
 
 /* --- One ray ------------------------------------------------------------------ */
 
-/* Writes the hit of a lane, or of none; returns its t. */
+/* Writes the hit of a lane, or of none; returns its t, or `end`. */
 static inline double flat_hit(const struct accel_flat *f, const struct trace_ray *r,
-                              const struct flat_four *h, unsigned lane, struct hit *out)
+                              const struct flat_four *h, unsigned lane, double end, struct hit *out)
 {
     double t[5], v[5], w[5], det[5];
     _mm256_storeu_pd(t, h->t);
     _mm256_storeu_pd(v, h->v);
     _mm256_storeu_pd(w, h->w);
     _mm256_storeu_pd(det, h->det);
-    t[4] = v[4] = w[4] = det[4] = 1.0;
+    t[4] = end;
+    v[4] = w[4] = det[4] = 1.0;
     uint32_t row = h->row[lane];
     out->t = t[lane] * r->scale;
     out->b1 = v[lane] / det[lane];
@@ -254,9 +256,9 @@ static inline double flat_closest(const struct accel_flat *f, const struct trace
         unsigned lane = flat_nearest(&h);
         double t = end;
         if (!found || lane < 4)
-            t = flat_hit(f, r, &h, lane, out);
+            t = flat_hit(f, r, &h, lane, end, out);
         if (__builtin_expect(left == 0, 1)) /* before anything asks what the ray met */
-            return lane < 4 ? t : end;
+            return t;
         if (lane < 4) {
             found = true;
             end = t;
@@ -337,9 +339,10 @@ static inline bool flat_kernel_occluded(const struct accel *a, const struct ray 
     double tmin, tmax;
     if (!ready_boxless_ray(a, ray, &ready, &tmin, &tmax))
         return false;
-    if (!a->flat->sphere_count)
-        return flat_blocks(a->flat, &ready, tmin, tmax);
-    return flat_spheres_block(a, &ready, tmin, tmax) || flat_blocks(a->flat, &ready, tmin, tmax);
+    if (__builtin_expect(a->flat->sphere_count != 0, 0) &&
+        flat_spheres_block(a, &ready, tmin, tmax))
+        return true;
+    return flat_blocks(a->flat, &ready, tmin, tmax);
 }
 
 static void flat_kernel_closest_batch(const struct accel *a, const struct ray *rays,
