@@ -20,7 +20,7 @@ from farm import BIN, ROOT, clean_env
 # Set-up, and what only a person can do.
 SKIPPED = re.compile(r"\./run\.sh|\./test\.sh|export PATH=")
 VOLATILE = re.compile(r"\d s\b|core-s|ray/s|Mr/s|units|^ *\d+%|^WORKER|^\.\.\.|^w\d| lost | lost:")
-BOUNDS = ((r"(tilery tradeoff .*?)( *#.*)?$", r"\1 --budget 8 --size 96x64"),)
+BOUNDS = ((r"(tilery tradeoff .*?)( *#.*)?$", r"\1 --budget 30 --size 48x32"),)
 FAILS = re.compile(r"--aov dept$")  # the tutorial's mistake
 
 
