@@ -74,8 +74,8 @@ static bool adoptable(struct sched *s, uint32_t worker, const struct sched_held 
 {
     struct worker *w = &s->workers[worker];
     *job = slotmap_find(&s->job_map, h->job);
-    if (*job == SLOT_NONE || !worker_usable(w) || w->held >= s->limits.leases_per_worker_max ||
-        h->epoch == 0 || h->epoch >= s->epoch_next ||
+    if (*job == SLOT_NONE || !worker_usable(w) || w->alone ||
+        w->held >= s->limits.leases_per_worker_max || h->epoch == 0 || h->epoch >= s->epoch_next ||
         slotmap_find(&s->lease_map, h->epoch) != SLOT_NONE)
         return false;
     struct job *j = &s->jobs[*job];

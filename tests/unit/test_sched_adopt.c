@@ -326,6 +326,33 @@ static void test_what_was_lost_on_the_way_is_nobodys_fault(void **state)
     assert_int_equal(rig_info(&rig, 1).compared, 0);
 }
 
+/* Whoever renders what may kill it holds nothing else, whatever it brings along: here a unit that
+ * it was to give back, but the message was lost with the connection. */
+static void test_alone_it_takes_up_nothing(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 1, 2));
+    for (uint64_t worker = 1; worker <= 2; worker++) {
+        assert_true(join(worker, 1, NULL, 0));
+        assert_int_equal(rig_lease_of(&rig, worker, 0).unit.block, 0);
+        assert_true(rig_worker(&rig, SCHED_WORKER_LOST, worker));
+    }
+    assert_true(join(3, 1, NULL, 0));
+    assert_int_equal(rig_held(&rig, 3), 1);
+    struct rig_lease alone = rig_lease_of(&rig, 3, 0);
+    assert_int_equal(alone.unit.block, 0);
+    const struct sched_held held[] = {
+        {1, alone.epoch, alone.unit, SCHED_HELD_BEGUN},
+        {1, 900, {0, 1, 1}, SCHED_HELD_WAITING},
+    };
+    assert_true(rig_worker(&rig, SCHED_WORKER_AWAY, 3));
+    assert_true(join(3, 1, held, 2)); /* the rig checks the invariants */
+    assert_int_equal(rig_held(&rig, 3), 1);
+    assert_true(revoked(900));
+    assert_true(rig_finish(&rig, 1000) > 0);
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+}
+
 static void test_who_stays_away_is_lost(void **state)
 {
     (void)state;
@@ -428,6 +455,7 @@ int main(void)
         RIG_TEST(test_back_in_time_nothing_is_lost),
         RIG_TEST(test_back_before_it_was_missed),
         RIG_TEST(test_what_was_lost_on_the_way_is_nobodys_fault),
+        RIG_TEST(test_alone_it_takes_up_nothing),
         RIG_TEST(test_who_stays_away_is_lost),
         RIG_TEST(test_the_absent_get_nothing_and_the_idle_copy_them),
         RIG_TEST(test_coming_back_does_not_lengthen_a_lease),
