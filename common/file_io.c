@@ -134,18 +134,15 @@ enum err file_open_aside(const char *path, char **aside, int *fd)
     }
 }
 
-static enum err write_and_rename(int fd, const char *aside, const char *path, const void *data,
-                                 size_t bytes)
+enum err file_close_aside(const char *path, char *aside, int fd, enum err e)
 {
-    enum err e = write_all(fd, data, bytes);
-    if (e == ERR_OK && fsync(fd) != 0)
-        e = err_from_errno(errno);
     if (close(fd) != 0 && e == ERR_OK)
         e = err_from_errno(errno);
     if (e == ERR_OK && rename(aside, path) != 0)
         e = err_from_errno(errno);
     if (e != ERR_OK)
         (void)unlink(aside);
+    mem_free(aside);
     return e;
 }
 
@@ -157,8 +154,10 @@ enum err file_write(const char *path, const void *data, size_t bytes)
     char *aside;
     int fd;
     TL_TRY(file_open_aside(path, &aside, &fd));
-    enum err e = write_and_rename(fd, aside, path, data, bytes);
-    mem_free(aside);
+    enum err e = write_all(fd, data, bytes);
+    if (e == ERR_OK && fsync(fd) != 0)
+        e = err_from_errno(errno);
+    e = file_close_aside(path, aside, fd, e);
     if (e == ERR_OK)
         sync_folder(path);
     return e;

@@ -26,9 +26,13 @@ uint64_t file_length(const char *path);
  * ERR_NOSPACE, ERR_NOT_FOUND (no such folder), ERR_IO. */
 TL_NODISCARD enum err file_write(const char *path, const void *data, size_t bytes);
 
-/* A new file beside `path`, open for writing as *fd; its name, by which it is renamed or unlinked,
- * in *aside (mem_free). ERR_NOSPACE, ERR_NOT_FOUND, ERR_IO, ERR_NOMEM. */
+/* A new file beside `path`, open for writing as *fd, its name in *aside: for file_close_aside.
+ * ERR_NOSPACE, ERR_NOT_FOUND, ERR_IO, ERR_NOMEM. */
 TL_NODISCARD enum err file_open_aside(const char *path, char **aside, int *fd);
+
+/* Closes it, renames it over `path` and frees its name; where `e`, what became of the writing, is
+ * an error, or another one comes, it is removed instead. Syncs nothing. */
+TL_NODISCARD enum err file_close_aside(const char *path, char *aside, int fd, enum err e);
 
 /* The folder part of a path ("" for none is "."), and a path relative to a folder (absolute ones
  * stay). You own the result; NULL when out of memory. */

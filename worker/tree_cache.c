@@ -330,13 +330,7 @@ static enum err write_aside(const char *path, size_t bytes, tree_source *source,
     enum err e = room && sums ? file_open_aside(path, &aside, &fd) : ERR_NOMEM;
     if (e == ERR_OK) {
         e = write_file(fd, bytes, source, ctx, room, sums);
-        if (close(fd) != 0 && e == ERR_OK)
-            e = err_from_errno(errno);
-        if (e == ERR_OK && rename(aside, path) != 0)
-            e = err_from_errno(errno);
-        if (e != ERR_OK)
-            (void)unlink(aside);
-        mem_free(aside);
+        e = file_close_aside(path, aside, fd, e);
     }
     mem_free(room);
     mem_free(sums);

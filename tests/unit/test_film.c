@@ -558,17 +558,18 @@ static void test_error_estimate(void **state)
     assert_true(inside >= 88);
 }
 
-/* A dark picture with some noise and a bright bar at the right. `hits` dark pixels beside the bar
- * have one sample, of half A, that saw it: pixels that would hide behind themselves. */
-static struct film_error bar_error(uint32_t hits)
+/* What a pixel of a grey test picture sums up in a block; *seed is there for noise. */
+typedef float pixel_sum(const struct job_block *block, uint32_t x, uint32_t y, uint32_t hits,
+                        uint64_t *seed);
+
+/* The error of such a picture. `hits`: for the pixels. */
+static struct film_error grey_error(uint32_t side, uint64_t spp, uint64_t seed, pixel_sum *sum,
+                                    uint32_t hits)
 {
-    enum { SIDE = 48, BAR = 44, STEP = 8 };
-    const float dark = 0.02f, bright = 10;
     struct rig r;
     struct film *f;
     struct film_error e;
-    uint64_t seed = 5;
-    rig_init(&r, SIDE, SIDE, 32, 1);
+    rig_init(&r, side, side, spp, 1);
     assert_int_equal(film_new(&r.grid, &r.blocks, &f), ERR_OK);
     for (uint32_t i = 0; i < r.unit_count; i++) {
         struct unit u = r.units[i];
@@ -579,22 +580,51 @@ static struct film_error bar_error(uint32_t hits)
         for (uint32_t k = 0; k < u.cell_count; k++) {
             struct grid_rect rect = grid_cell(&r.grid, u.cell_begin + k);
             for (uint32_t p = 0; p < rect.width * rect.height; p++, at++) {
-                uint32_t x = rect.x + p % rect.width, y = rect.y + p / rect.width;
-                bool hit = x == BAR - 1 && y % STEP == 0 && y / STEP < hits;
-                float noise = 2 * (float)(random_next(&seed) % 1048576) / 1048576;
-                float sum = (x < BAR ? dark * noise : bright) * (float)block.count;
-                sum += hit && block.half == 0 && block.begin == 0 ? bright : 0;
+                float grey =
+                    sum(&block, rect.x + p % rect.width, rect.y + p / rect.width, hits, &seed);
                 for (uint64_t c = 0; c < 3; c++)
-                    rgb[c * pixels + at] = sum;
+                    rgb[c * pixels + at] = grey;
             }
         }
         assert_int_equal(film_add(f, u, rgb), ERR_OK);
     }
     film_error_estimate(f, &e);
-    assert_true(e.known);
+    assert_true(e.known && e.relmse > 0);
     film_free(f);
     grid_release(&r.grid);
     return e;
+}
+
+/* A uniform number in [0,1). */
+static float noise_of(uint64_t *seed)
+{
+    return (float)(random_next(seed) % 1048576) / 1048576;
+}
+
+/* Is it the first block of half A? */
+static bool is_first(const struct job_block *block)
+{
+    return block->half == 0 && block->begin == 0;
+}
+
+enum { BAR_SIDE = 48, BAR = 44, SPIKES_SIDE = 64 };
+
+/* A dark picture with some noise and a bright bar at the right. `hits` dark pixels beside the bar
+ * have one sample, of half A, that saw it: pixels that would hide behind themselves. */
+static float bar_sum(const struct job_block *block, uint32_t x, uint32_t y, uint32_t hits,
+                     uint64_t *seed)
+{
+    enum { STEP = 8 };
+    const float dark = 0.02f, bright = 10;
+    float noise = 2 * noise_of(seed);
+    bool hit = x == BAR - 1 && y % STEP == 0 && y / STEP < hits;
+    return (x < BAR ? dark * noise : bright) * (float)block->count +
+           (hit && is_first(block) ? bright : 0);
+}
+
+static struct film_error bar_error(uint32_t hits)
+{
+    return grey_error(BAR_SIDE, 32, 5, bar_sum, hits);
 }
 
 /* A hit puts half A at 10 / 16 over half B: a variance of 0.098. Over the square of the dark pixels
@@ -610,42 +640,22 @@ static void test_error_beside_bright(void **state)
     assert_true(calm.effective > 100 && hit.effective < FILM_EFFECTIVE_MIN);
 }
 
-/* A calm picture of 64 x 64 pixels: the first `noisy` rows have noise of 10 %, and `spikes` pixels
- * a hit of 100 in one sample of half A. */
-static struct film_error spiky_error(uint32_t noisy, uint32_t spikes)
+/* A calm picture; `spikes` pixels have a hit of 1,000 in one sample of half A. */
+static float spiky_sum(const struct job_block *block, uint32_t x, uint32_t y, uint32_t spikes,
+                       uint64_t *seed)
 {
-    enum { SIDE = 64, STEP = 9 };
-    struct rig r;
-    struct film *f;
-    struct film_error e;
-    uint64_t seed = 11;
-    rig_init(&r, SIDE, SIDE, 16, 1);
-    assert_int_equal(film_new(&r.grid, &r.blocks, &f), ERR_OK);
-    for (uint32_t i = 0; i < r.unit_count; i++) {
-        struct unit u = r.units[i];
-        uint64_t pixels = grid_pixels(&r.grid, u.cell_begin, u.cell_count), at = 0;
-        struct job_block block = job_block_at(&r.blocks, u.block);
-        float *rgb = mem_alloc_array(pixels, 3 * sizeof(float));
-        assert_non_null(rgb);
-        for (uint32_t k = 0; k < u.cell_count; k++) {
-            struct grid_rect rect = grid_cell(&r.grid, u.cell_begin + k);
-            for (uint32_t p = 0; p < rect.width * rect.height; p++, at++) {
-                uint32_t x = rect.x + p % rect.width, y = rect.y + p / rect.width;
-                float noise = 0.35f * ((float)(random_next(&seed) % 1048576) / 524288 - 1);
-                bool hit = x == y && x % STEP == 4 && x / STEP < spikes;
-                float sum = (float)block.count * (y < noisy ? 1 + noise : 1);
-                sum += hit && block.half == 0 && block.begin == 0 ? 1000 : 0;
-                for (uint64_t c = 0; c < 3; c++)
-                    rgb[c * pixels + at] = sum;
-            }
-        }
-        assert_int_equal(film_add(f, u, rgb), ERR_OK);
-    }
-    film_error_estimate(f, &e);
-    assert_true(e.known && e.relmse > 0);
-    film_free(f);
-    grid_release(&r.grid);
-    return e;
+    enum { STEP = 9 };
+    float noise = 0.7f * noise_of(seed) - 0.35f;
+    bool hit = x == y && x % STEP == 4 && x / STEP < spikes;
+    return (float)block->count * (1 + noise) + (hit && is_first(block) ? 1000 : 0);
+}
+
+/* The same with noise in its first rows alone, and none elsewhere. */
+static float part_sum(const struct job_block *block, uint32_t x, uint32_t y, uint32_t rows,
+                      uint64_t *seed)
+{
+    float sum = spiky_sum(block, x, y, 0, seed);
+    return y < rows ? sum : (float)block->count;
 }
 
 /* Noise in a small part of the picture is no heavy tail; a few spikes are, and never fewer than one
@@ -653,12 +663,13 @@ static struct film_error spiky_error(uint32_t noisy, uint32_t spikes)
 static void test_effective_size(void **state)
 {
     (void)state;
-    struct film_error all = spiky_error(64, 0), part = spiky_error(4, 0);
+    struct film_error all = grey_error(SPIKES_SIDE, 16, 11, spiky_sum, 0),
+                      part = grey_error(SPIKES_SIDE, 16, 11, part_sum, 4);
     print_message("effective size %.1f of 4096, %.1f of 256\n", all.effective, part.effective);
     assert_true(all.effective > 1000 && all.effective < 4096);
     assert_true(part.effective > 64 && part.effective < 256);
     for (uint32_t spikes = 1; spikes <= 6; spikes++) {
-        struct film_error e = spiky_error(64, spikes);
+        struct film_error e = grey_error(SPIKES_SIDE, 16, 11, spiky_sum, spikes);
         double factor = exp(1.96 / sqrt(e.effective));
         print_message("%u spikes: %.2f\n", spikes, e.effective);
         assert_true(e.effective >= 1 && e.effective < 1.5 * spikes + 0.5);
