@@ -367,7 +367,13 @@ static bool read_addresses(struct private_farm *f, const char *line, size_t byte
  * children, too. */
 static bool child_ended(struct private_child *child, int options, int *status)
 {
-    if (child->pid <= 0 || waitpid(child->pid, status, options) != child->pid)
+    pid_t ended;
+    if (child->pid <= 0)
+        return false;
+    do
+        ended = waitpid(child->pid, status, options);
+    while (ended < 0 && errno == EINTR); /* by another child's end */
+    if (ended != child->pid)
         return false;
     signals_child_remove(child->pid);
     child->pid = 0;
