@@ -323,6 +323,7 @@ enum sched_why {
     SCHED_WHY_NO_JOB,       /* job unknown, cancelled, failed or done */
     SCHED_WHY_NO_UNIT,      /* not a unit of the job, or not the one of that lease */
     SCHED_WHY_SHUT,         /* beyond the window (after a reset or a restart) */
+    SCHED_WHY_UNCHECKED,    /* to be verified, and not all of the result is new */
     SCHED_WHY_QUARANTINED,  /* from a liar */
     SCHED_WHY_UNIT_KILLS,   /* SCHED_LOSSES_ALONE workers were lost by one unit */
     SCHED_WHY_JOB_UNFIT,    /* no worker could get ready for it */

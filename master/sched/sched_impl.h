@@ -195,6 +195,7 @@ struct scan {
     uint32_t at; /* cells answered */
     uint32_t accepted;
     bool checked;       /* its check was announced; it is opened with the last answer */
+    bool unchecked;     /* it should be, but only part of it is new: that part is not accepted */
     double cell_s;      /* thread-seconds of one cell */
     enum sched_why why; /* with job SLOT_NONE */
     bool vote;

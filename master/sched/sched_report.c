@@ -8,6 +8,7 @@ const char *sched_why_text(enum sched_why why)
         [SCHED_WHY_NO_JOB] = "the job is not being rendered",
         [SCHED_WHY_NO_UNIT] = "not a unit that was leased",
         [SCHED_WHY_SHUT] = "too far ahead of the cell's first open block",
+        [SCHED_WHY_UNCHECKED] = "part of a unit that is to be verified as a whole",
         [SCHED_WHY_QUARANTINED] = "the worker is quarantined",
         [SCHED_WHY_UNIT_KILLS] = "one unit lost too many workers",
         [SCHED_WHY_JOB_UNFIT] = "no worker can render it",

@@ -291,8 +291,9 @@ static bool spot_is_open(const struct job *j, uint32_t cell, uint32_t block)
     return state == SPOT_WAITING || state == SPOT_LEASED;
 }
 
-/* Before the first answer: is this result, if all of it is new, to be verified? Said before it is
- * accepted, so that whoever keeps both never has the result without its check. */
+/* Before the first answer: is this result to be verified? Said before it is accepted, so that
+ * whoever keeps both never has the result without its check. A check is of a whole unit: where only
+ * a part is new, that part is left to another lease. */
 static bool scan_announce(struct sched *s, struct sched_action *out)
 {
     struct scan *scan = &s->scan;
@@ -302,8 +303,9 @@ static bool scan_announce(struct sched *s, struct sched_action *out)
         !verify_chosen(s, scan->result.epoch, j->verify_share))
         return false;
     for (uint32_t i = 0; i < unit.cell_count; i++)
-        if (!spot_is_open(j, unit.cell_begin + i, unit.block))
-            return false;
+        scan->unchecked |= !spot_is_open(j, unit.cell_begin + i, unit.block);
+    if (scan->unchecked)
+        return false;
     scan->checked = true;
     *out = (struct sched_action){
         .type = SCHED_CHECK_OPENED, .worker = scan->worker, .job = j->id, .unit = unit};
@@ -334,13 +336,13 @@ bool scan_next(struct sched *s, struct sched_action *out)
         enum spot_state state = job_spot_state(j, cell, unit.block);
         if (accept ? state != SPOT_WAITING && state != SPOT_LEASED : state != first)
             break;
-        if (accept)
+        if (accept && !scan->unchecked)
             job_spot_finish(s, j, cell, unit.block, scan->cell_s);
         count++;
         scan->at++;
     }
     out->unit = (struct unit){.cell_begin = begin, .cell_count = count, .block = unit.block};
-    if (accept) {
+    if (accept && !scan->unchecked) {
         out->type = SCHED_ACCEPT;
         scan->accepted += count;
     } else if (first == SPOT_DONE) {
@@ -348,7 +350,7 @@ bool scan_next(struct sched *s, struct sched_action *out)
         j->compared++;
     } else {
         out->type = SCHED_IGNORE;
-        out->why = SCHED_WHY_SHUT;
+        out->why = accept ? SCHED_WHY_UNCHECKED : SCHED_WHY_SHUT;
         j->rejected++;
     }
     if (scan->at == unit.cell_count)

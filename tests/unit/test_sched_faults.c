@@ -638,6 +638,30 @@ static void test_a_late_check_is_a_vote_and_teaches(void **state)
     assert_true(rig_winfo(&rig, 2).speed > 0.0);
 }
 
+/* A check is of a whole unit, so what is new in a late result of which others have brought a part
+ * would never be checked: it is rendered anew instead (seed 30025425 of tests/sim). */
+static void test_what_cannot_be_checked_is_not_accepted(void **state)
+{
+    (void)state;
+    add_verified(1000);
+    assert_true(rig_join(&rig, 1, 1));
+    struct rig_lease late = rig_lease_of(&rig, 1, 1);
+    assert_true(late.unit.cell_count > 1);
+    assert_true(rig_worker(&rig, SCHED_WORKER_LOST, 1));
+    struct rig_lease part = {.worker = 2, .job = 1, .epoch = late.epoch, .unit = late.unit};
+    part.unit.cell_count = 1;
+    assert_true(rig_join(&rig, 2, 1));
+    assert_true(rig_result(&rig, &part, 1000, 0));
+    assert_int_equal(rig_count(&rig, SCHED_CHECK_OPENED), 1);
+    assert_int_equal(rig_find(&rig, SCHED_ACCEPT)->unit.cell_count, 1);
+    assert_true(rig_join(&rig, 1, 1));
+    assert_true(rig_result(&rig, &late, 1000, 7)); /* a lie */
+    assert_int_equal(rig_count(&rig, SCHED_COMPARE), 1);
+    assert_int_equal(rig_count(&rig, SCHED_ACCEPT), 0);
+    assert_int_equal(rig_find(&rig, SCHED_IGNORE)->unit.cell_count, late.unit.cell_count - 1);
+    assert_int_equal(rig_find(&rig, SCHED_IGNORE)->why, SCHED_WHY_UNCHECKED);
+}
+
 /* Bug found by tests/sim: a check stayed leased to a worker whose bits had come as a late copy. */
 static void test_a_voter_is_not_asked(void **state)
 {
@@ -761,6 +785,7 @@ int main(void)
         RIG_TEST(test_mismatch_of_a_late_copy_is_decided),
         RIG_TEST(test_checks_outlive_cancel_and_retry),
         RIG_TEST(test_a_late_check_is_a_vote_and_teaches),
+        RIG_TEST(test_what_cannot_be_checked_is_not_accepted),
         RIG_TEST(test_a_voter_is_not_asked),
         RIG_TEST(test_an_overdue_check_is_given_to_an_idle_worker),
         RIG_TEST(test_cancel_revokes_copies_too),
