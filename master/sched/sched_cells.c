@@ -20,6 +20,8 @@ size_t sched_job_bytes(uint32_t cell_count, uint32_t block_count)
         return 0;
     struct cellset_shape shape = cellset_shape_of(cell_count);
     return align64((size_t)cell_count * SCHED_WINDOW * sizeof(uint32_t)) +
+           align64((size_t)cell_count * sizeof(uint64_t)) +
+           align64((size_t)cell_count * sizeof(double)) +
            align64((size_t)cell_count * sizeof(float)) +
            2 * align64((size_t)cell_count * sizeof(uint16_t)) +
            align64((size_t)block_count * shape.word_count * sizeof(uint64_t)) +
@@ -93,6 +95,8 @@ void job_cells_init(struct job *j, const struct sched_job_add *add)
     uint8_t *at = add->memory;
     size_t cells = add->cell_count, blocks = add->block_count;
     j->owner = carve(&at, cells * SCHED_WINDOW * sizeof *j->owner);
+    j->measured = carve(&at, cells * sizeof *j->measured);
+    j->spent_s = carve(&at, cells * sizeof *j->spent_s);
     j->cost_s = carve(&at, cells * sizeof *j->cost_s);
     j->frontier = carve(&at, cells * sizeof *j->frontier);
     j->limit = carve(&at, cells * sizeof *j->limit);
@@ -257,8 +261,10 @@ static void measure(struct job *j, uint32_t cell, uint32_t block, double cost_s)
     uint64_t weight = job_weight(j, block);
     double old_s = (double)j->cost_s[cell], new_s = cost_s / (double)weight;
     j->cost_s[cell] = (float)(old_s > 0.0 ? 0.5 * (old_s + new_s) : new_s);
-    j->committed_s += cost_s;
+    j->measured[cell] += weight;
     j->measured_weight += weight;
+    j->spent_s[cell] += cost_s;
+    j->committed_s += cost_s;
 }
 
 /* --- Done and undone ------------------------------------------------------ */
@@ -393,16 +399,20 @@ void job_cells_limit(struct job *j, const uint16_t *limits)
     }
 }
 
-/* The cost of what was forgotten was spent, but is not part of the picture any more. */
-static void forget_cost(struct job *j, uint32_t cell, uint64_t weight)
+/* The cost of what was forgotten was spent, but is not part of the picture any more. Of a cell of
+ * which a part is kept, the measured spots count as spread over all. */
+static void forget_cost(struct job *j, uint32_t cell, uint64_t before, uint64_t kept)
 {
-    double cost_s = (double)j->cost_s[cell];
-    if (cost_s <= 0.0)
-        return;
-    uint64_t measured = weight < j->measured_weight ? weight : j->measured_weight;
-    double spent_s = (double)measured * cost_s;
+    double share = before > kept ? 1.0 - (double)kept / (double)before : 0.0;
+    uint64_t measured = (uint64_t)(share * (double)j->measured[cell]);
+    double spent_s = share * j->spent_s[cell];
+    j->measured[cell] -= measured;
     j->measured_weight -= measured;
-    j->committed_s -= spent_s < j->committed_s ? spent_s : j->committed_s;
+    j->spent_s[cell] -= spent_s;
+    j->committed_s -= spent_s;
+    /* As in job_known_update. */
+    if (j->measured_weight == 0 || j->committed_s < 0.0)
+        j->committed_s = 0.0;
 }
 
 void job_cells_reset(struct sched *s, struct job *j, struct unit unit)
@@ -417,8 +427,9 @@ void job_cells_reset(struct sched *s, struct job *j, struct unit unit)
         } else if (unit.block < frontier + SCHED_WINDOW) {
             mask &= (UINT32_C(1) << (unit.block - frontier)) - 1;
         }
-        forget_cost(j, cell, before - done_weight(j, frontier, mask));
+        forget_cost(j, cell, before, done_weight(j, frontier, mask));
         cell_open(j, cell, frontier, mask);
     }
     j->cells_reset += unit.cell_count;
+    job_progress_update(j);
 }

@@ -38,9 +38,11 @@ static void check_spots(const struct sched *s, const struct job *j)
 /* What is left by cost agrees with the cells. */
 static void check_progress(const struct job *j)
 {
-    uint64_t known = 0;
-    double known_s = 0.0;
+    uint64_t known = 0, measured = 0;
+    double known_s = 0.0, spent_s = 0.0;
     for (uint32_t cell = 0; cell < j->cell_count; cell++) {
+        measured += j->measured[cell];
+        spent_s += j->spent_s[cell];
         if (j->cost_s[cell] <= 0.0f)
             continue;
         for (uint32_t b = 0; b < j->limit[cell]; b++) {
@@ -52,6 +54,9 @@ static void check_progress(const struct job *j)
     double error = known_s - j->known_s;
     TL_ASSERT(known == j->known_weight);
     TL_ASSERT(error <= 1e-6 * (1.0 + known_s) && error >= -1e-6 * (1.0 + known_s));
+    TL_ASSERT(measured == j->measured_weight);
+    error = spent_s - j->committed_s;
+    TL_ASSERT(error <= 1e-6 * (1.0 + spent_s) && error >= -1e-6 * (1.0 + spent_s));
     TL_ASSERT(j->done_shown >= 0.0 && j->done_shown <= 1.0);
     TL_ASSERT(j->done_shown >= job_done_share(j) - 1e-9 || j->units == 0);
 }

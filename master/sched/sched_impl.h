@@ -71,6 +71,8 @@ struct job {
     uint16_t *frontier;      /* [cell] */
     uint16_t *limit;         /* [cell]: blocks that it gets */
     float *cost_s;           /* [cell]: thread-seconds per weight; 0: not measured */
+    uint64_t *measured;      /* [cell]: weight of its measured spots */
+    double *spent_s;         /* [cell]: thread-seconds that those took */
     uint64_t *waiting;       /* [block]: the set of its waiting cells */
     uint32_t *waiting_count; /* [block] */
     uint64_t waiting_blocks[JOB_BLOCKS_MAX / 64]; /* blocks with waiting cells */
@@ -92,9 +94,9 @@ struct job {
     /* Measures. */
     uint64_t started_ms;       /* first lease; UINT64_MAX: none yet */
     double samples, samples_s; /* accepted, and the thread-seconds they took */
-    double committed_s;        /* cost of the measured spots */
-    uint64_t measured_weight;
-    double known_s; /* cost of the spots of measured cells that are not done */
+    double committed_s;        /* sum of the cells' spent_s */
+    uint64_t measured_weight;  /* sum of the cells' measured */
+    double known_s;            /* cost of the spots of measured cells that are not done */
     uint64_t known_weight;
     struct eta_spread spread;
     double done_shown; /* highest share that was ever shown */
