@@ -16,6 +16,7 @@
 #include "tests/render/stats.h"
 #include "worker/render/render_scene.h"
 #include "worker/render/sampler.h"
+#include "worker/render/sky_batch.h"
 #include "worker/render/warp.h"
 #include "worker/scene/scene_build.h"
 
@@ -254,6 +255,106 @@ static void sky_is_drawn_for_the_normal(void **state)
     }
 }
 
+static double component(const double numbers[], uint64_t *random)
+{
+    int k = (int)(random_value(random) * 4);
+    return k == 3 ? random_value(random) * 2 - 1 : numbers[k];
+}
+
+/* A unit vector, often one on an axis or a fold of the tables; seldom none. */
+static vec3 any_normal(uint64_t *random)
+{
+    static const double numbers[3] = {0, 1, -1};
+    vec3 n = v3(component(numbers, random), component(numbers, random), component(numbers, random));
+    return v3_abs_max(n) > 0 ? v3_unit(n) : n;
+}
+
+/* A batch of lights drawn, of any size, has the bits of light_sample, the sky among them or alone;
+ * a batch of directions those of environment_radiance. */
+static void batches_have_the_bits_of_one(void **state)
+{
+    (void)state;
+    uint64_t random = 11;
+    for (int k = 0; k < 4000; k++) {
+        static struct render_scene *rs;
+        if (k % 2000 == 0)
+            rs = k ? lamps(true) : open_air(JOB_PROFILE_MIS);
+        uint32_t count = (uint32_t)(random_value(&random) * (LIGHT_POINTS_MAX + 1)), there = 0;
+        struct light_point points[LIGHT_POINTS_MAX];
+        struct light_sample many[LIGHT_POINTS_MAX], one;
+        vec3 n[LIGHT_POINTS_MAX], w[LIGHT_POINTS_MAX];
+        rgb sky[LIGHT_POINTS_MAX];
+        double pdfs[LIGHT_POINTS_MAX], pdf;
+        for (uint32_t i = 0; i < count; i++) {
+            n[i] = any_normal(&random);
+            w[i] = warp_sphere(random_value(&random), random_value(&random));
+            points[i] = (struct light_point){v3(0, 0, 0), n[i], random_value(&random),
+                                             random_value(&random), random_value(&random)};
+        }
+        there = light_sample_points(&rs->lights, count, points, many);
+        environment_radiances(&rs->lights, count, n, w, sky, pdfs);
+        for (uint32_t i = 0; i < count; i++) {
+            const struct light_point *p = &points[i];
+            bool is = light_sample(&rs->lights, p->p, p->n, p->choose, p->u, p->v, &one);
+            assert_int_equal(there >> i & 1, is);
+            if (is) {
+                assert_memory_equal(&many[i].wi, &one.wi, sizeof one.wi);
+                assert_memory_equal(&many[i].radiance, &one.radiance, sizeof one.radiance);
+                assert_memory_equal(&many[i].pdf, &one.pdf, sizeof one.pdf);
+                assert_true(many[i].distant == one.distant && many[i].delta == one.delta);
+            }
+            rgb seen = environment_radiance(&rs->lights, n[i], w[i], &pdf);
+            assert_memory_equal(&sky[i], &seen, sizeof seen);
+            assert_memory_equal(&pdfs[i], &pdf, sizeof pdf);
+        }
+        if (k % 2000 == 1999)
+            render_scene_free(rs);
+    }
+}
+
+static void assert_same_batch(const struct sky_batch *a, const struct sky_batch *b)
+{
+    assert_memory_equal(a->w, b->w, sizeof a->w);
+    assert_memory_equal(a->x, b->x, sizeof a->x);
+    assert_memory_equal(a->y, b->y, sizeof a->y);
+    assert_memory_equal(a->pdf, b->pdf, sizeof a->pdf);
+}
+
+/* The loops of all instruction sets that this processor has give the same bits. */
+static void batches_are_the_same_in_all_vectors(void **state)
+{
+    (void)state;
+    struct render_scene *rs = open_air(JOB_PROFILE_MIS);
+    const struct environment *sky = &rs->lights.environment;
+    uint64_t random = 5;
+    for (int k = 0; k < 2000; k++) {
+        struct sky_batch b, wide;
+        memset(&b, 0, sizeof b);
+        for (int i = 0; i < SKY_BATCH; i++) {
+            vec3 n = any_normal(&random);
+            b.n[0][i] = n.x;
+            b.n[1][i] = n.y;
+            b.n[2][i] = n.z;
+            b.x[i] = random_value(&random);
+            b.y[i] = random_value(&random);
+        }
+        struct sky_batch plain = b;
+        sky_draw_sse2(sky, &plain);
+        sky_look_sse2(sky, &plain);
+        for (int set = 0; set < 2; set++) {
+            bool has = set ? __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl")
+                           : __builtin_cpu_supports("avx2");
+            if (!has)
+                continue;
+            wide = b;
+            (set ? sky_draw_avx512 : sky_draw_avx2)(sky, &wide);
+            (set ? sky_look_avx512 : sky_look_avx2)(sky, &wide);
+            assert_same_batch(&wide, &plain);
+        }
+    }
+    render_scene_free(rs);
+}
+
 /* Mean weight 1, and weighted samples have the filter's moments. */
 static void filters_are_drawn_as_they_are(void **state)
 {
@@ -303,6 +404,8 @@ int main(void)
         cmocka_unit_test(samples_have_the_density),
         cmocka_unit_test(sky_is_the_same_both_ways),
         cmocka_unit_test(sky_is_drawn_for_the_normal),
+        cmocka_unit_test(batches_have_the_bits_of_one),
+        cmocka_unit_test(batches_are_the_same_in_all_vectors),
         cmocka_unit_test(filters_are_drawn_as_they_are),
         cmocka_unit_test(polynomials_are_sines),
     };

@@ -14,6 +14,18 @@ struct choices {
     double u[SAMPLER_SET_VALUES];
 };
 
+/* A vertex of a path, between the ray that has arrived there and what leaves. */
+struct vertex {
+    uint32_t from; /* the ray */
+    vec3 dir;      /* and its direction */
+    struct footprint *footprint;
+    struct shade at;
+    struct choices choices;
+    uint32_t candidates;       /* on lights; 0: it looks for none */
+    bool lit;                  /* the only candidate is there */
+    struct light_sample light; /* and this */
+};
+
 enum choice { CHOICE_LOBE, CHOICE_ROULETTE, CHOICE_LIGHT, CHOICE_CANDIDATE };
 
 static double choose(struct choices *c, const struct path *path, enum choice which)
@@ -36,15 +48,53 @@ static bool is_found_alone(const struct render_scene *scene, const struct path *
     return alone || scene->spec.profile == JOB_PROFILE_NEE;
 }
 
-static void add_environment(const struct render_scene *scene, struct path *path, vec3 dir)
+/* Light of the sky in the directions of rays that met nothing. */
+static void add_environments(const struct render_scene *scene, struct render_scratch *w,
+                             uint32_t count, const uint32_t rays[])
 {
-    if (!scene->lights.environment.present)
-        return;
-    double pdf, weight;
-    rgb sky = environment_radiance(&scene->lights, path->n, dir, &pdf);
-    if (!is_found_alone(scene, path, pdf, &weight))
-        weight = next_event_sky_weight(path->pdf, path->candidates * pdf);
-    path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky), weight));
+    vec3 n[LIGHT_POINTS_MAX] = {{0}}, dir[LIGHT_POINTS_MAX] = {{0}};
+    rgb sky[LIGHT_POINTS_MAX];
+    double pdf[LIGHT_POINTS_MAX];
+    for (uint32_t k = 0; k < count; k++) {
+        n[k] = w->paths[w->active[rays[k]]].n;
+        dir[k] = v3_of(w->rays[rays[k]].dir);
+    }
+    environment_radiances(&scene->lights, count, n, dir, sky, pdf);
+    for (uint32_t k = 0; k < count; k++) {
+        struct path *path = &w->paths[w->active[rays[k]]];
+        double weight;
+        if (!is_found_alone(scene, path, pdf[k], &weight))
+            weight = next_event_sky_weight(path->pdf, path->candidates * pdf[k]);
+        path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky[k]), weight));
+    }
+}
+
+/* True if ray `from` arrives where the first vertex of its path, which shares, has sent it. */
+static bool arrives_shared(const struct render_scene *scene, const struct render_scratch *w,
+                           uint32_t from)
+{
+    return wave_group_side(scene) > 1 && w->reuse[w->active[from]].state == REUSE_LEFT;
+}
+
+/* Ends the paths whose rays met nothing. */
+static void leave_scene(const struct render_scene *scene, struct render_scratch *w)
+{
+    uint32_t rays[LIGHT_POINTS_MAX], count = 0;
+    for (uint32_t from = 0; from < w->active_count; from++) {
+        if (w->hits[from].object != SCENE_NONE)
+            continue;
+        if (arrives_shared(scene, w, from))
+            reuse_land(w, w->active[from]);
+        if (!scene->lights.environment.present)
+            continue;
+        rays[count++] = from;
+        if (count == LIGHT_POINTS_MAX) {
+            add_environments(scene, w, count, rays);
+            count = 0;
+        }
+    }
+    if (count > 0)
+        add_environments(scene, w, count, rays);
 }
 
 /* Light that the surface itself emits towards where the path came from. */
@@ -71,18 +121,55 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
 }
 
+/* Draws points on lights for vertices that take the first they get: side by side, since a sky that
+ * is a picture is drawn many directions at once. */
+static void find_lights(const struct render_scene *scene, struct render_scratch *w, uint32_t count,
+                        struct vertex vertices[])
+{
+    struct light_point points[LIGHT_POINTS_MAX];
+    struct light_sample lights[LIGHT_POINTS_MAX];
+    uint32_t numbers[LIGHT_POINTS_MAX], point_count = 0;
+    for (uint32_t k = 0; k < count; k++) {
+        struct vertex *v = &vertices[k];
+        const struct path *path = &w->paths[w->active[v->from]];
+        const struct material *m = v->at.bsdf.material;
+        bool looks = !m->is_delta && scene->spec.profile != JOB_PROFILE_RW;
+        v->candidates = looks ? next_event_count(scene, m) : 0;
+        v->lit = false;
+        if (v->candidates != 1)
+            continue;
+        double light = scene->lights.count > 1 ? choose(&v->choices, path, CHOICE_LIGHT) : 0;
+        points[point_count] = (struct light_point){v->at.surface.p, next_event_side(&v->at), light,
+                                                   path->light_u[0], path->light_u[1]};
+        numbers[point_count++] = k;
+    }
+    uint32_t there = light_sample_points(&scene->lights, point_count, points, lights);
+    for (uint32_t i = 0; i < point_count; i++) {
+        if (!(there >> i & 1))
+            continue;
+        vertices[numbers[i]].lit = true;
+        vertices[numbers[i]].light = lights[i];
+    }
+}
+
 /* Next-event estimation: a shadow ray to a point drawn on a light. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
-                           uint32_t index, const struct shade *at, struct choices *choices)
+                           struct vertex *v)
 {
     struct next_event event;
+    uint32_t index = w->active[v->from];
     const struct path *path = &w->paths[index];
-    uint32_t count = next_event_count(scene, at->bsdf.material);
-    double light = scene->lights.count > 1 ? choose(choices, path, CHOICE_LIGHT) : 0;
-    double keep = count > 1 ? choose(choices, path, CHOICE_CANDIDATE) : 0;
-    if (!next_event_draw(scene, at, count, light, keep, path->light_u, &event))
-        return;
-    const struct surface *s = &at->surface;
+    if (v->candidates > 1) {
+        double light = choose(&v->choices, path, CHOICE_LIGHT);
+        double keep = choose(&v->choices, path, CHOICE_CANDIDATE);
+        if (!next_event_draw(scene, &v->at, v->candidates, light, keep, path->light_u, &event))
+            return;
+    } else {
+        event.light = v->light;
+        if (!v->lit || !next_event_weigh(scene, &v->at, &event.light, &event.arriving))
+            return;
+    }
+    const struct surface *s = &v->at.surface;
     vec3 wi = event.light.wi, org = surface_offset(s->p, s->ng, s->error, wi);
     wave_shadow(w, index, org, event.light.target, event.light.distant, wi,
                 rgb_mul(event.arriving, path->beta));
@@ -145,55 +232,76 @@ static bool chooses_always(const struct render_scene *scene)
     return scene->lights.count > 1 && scene->spec.profile != JOB_PROFILE_RW;
 }
 
-/* One vertex of one path: emission, light sampling, next direction. True if it goes on. */
-static bool advance(const struct render_scene *scene, struct render_scratch *w, uint32_t from,
-                    uint32_t depth, uint32_t depth_max, uint32_t slot)
+/* The vertex where ray `from` has hit: what it emits is added. True if the path may go on there. */
+static bool arrive(const struct render_scene *scene, struct render_scratch *w, uint32_t from,
+                   uint32_t depth, uint32_t depth_max, struct vertex *v)
 {
     uint32_t index = w->active[from];
-    struct path *path = &w->paths[index];
     const struct hit *hit = &w->hits[from];
-    vec3 dir = v3_of(w->rays[from].dir);
-    bool reuse = wave_group_side(scene) > 1, arrives = reuse && w->reuse[index].state == REUSE_LEFT;
-    if (arrives)
+    bool shared = arrives_shared(scene, w, from);
+    if (shared)
         reuse_land(w, index);
-    if (hit->object == SCENE_NONE) {
-        add_environment(scene, path, dir);
-        return false;
-    }
-    struct shade at;
-    struct footprint *footprint = wave_arrive(scene, w, from);
-    shade_of_hit(scene, hit, dir, footprint, &at);
+    v->from = from;
+    v->dir = v3_of(w->rays[from].dir);
+    v->footprint = wave_arrive(scene, w, from);
+    shade_of_hit(scene, hit, v->dir, v->footprint, &v->at);
     if (scene->objects[hit->object].light_begin != SCENE_NONE)
-        add_emission(scene, path, hit, &at.surface, dir, footprint);
-    const struct material *m = at.bsdf.material;
-    if (arrives)
-        reuse_arrive(w, index, &at, dir);
-    if (depth >= depth_max || m->type == SCENE_MATERIAL_BLACK)
-        return false;
-    uint32_t set = (depth - 1) * WAVE_SETS_PER_VERTEX;
-    const double direction[2] = {w->vertex_u[0][from], w->vertex_u[1][from]};
-    struct choices choices = {.drawn = chooses_always(scene) ? &w->choice_u[0][from] : NULL,
-                              .set = WAVE_SET_CHOICE + set};
-    if (!m->is_delta && scene->spec.profile != JOB_PROFILE_RW)
-        connect_lights(scene, w, index, &at, &choices);
+        add_emission(scene, &w->paths[index], hit, &v->at.surface, v->dir, v->footprint);
+    if (shared)
+        reuse_arrive(w, index, &v->at, v->dir);
+    v->choices = (struct choices){.drawn = chooses_always(scene) ? &w->choice_u[0][from] : NULL,
+                                  .set = WAVE_SET_CHOICE + (depth - 1) * WAVE_SETS_PER_VERTEX};
+    return depth < depth_max && v->at.bsdf.material->type != SCENE_MATERIAL_BLACK;
+}
+
+/* What leaves a vertex: the shadow ray to its light, and the next ray of the path, into `slot`.
+ * True if there is one. */
+static bool leave(const struct render_scene *scene, struct render_scratch *w, struct vertex *v,
+                  uint32_t depth, uint32_t depth_max, uint32_t slot)
+{
+    uint32_t index = w->active[v->from];
+    struct path *path = &w->paths[index];
+    const struct material *m = v->at.bsdf.material;
+    const double direction[2] = {w->vertex_u[0][v->from], w->vertex_u[1][v->from]};
+    if (v->candidates > 0)
+        connect_lights(scene, w, v);
     if (depth + 1 == depth_max && !last_edge_counts(scene, m->is_delta))
         return false;
-    path->light_u[0] = w->vertex_u[2][from];
-    path->light_u[1] = w->vertex_u[3][from];
+    path->light_u[0] = w->vertex_u[2][v->from];
+    path->light_u[1] = w->vertex_u[3][v->from];
     vec3 wi;
     bool shares = false;
-    if (reuse && !m->is_delta && w->reuse[index].state == REUSE_NONE) {
-        reuse_leave(w, index, &at, depth);
+    if (wave_group_side(scene) > 1 && !m->is_delta && w->reuse[index].state == REUSE_NONE) {
+        reuse_leave(w, index, &v->at, depth);
         shares = true;
     }
     struct bsdf_sample sample;
-    if (!scatter(scene, path, &at, direction, &choices, shares, &wi, &sample))
+    if (!scatter(scene, path, &v->at, direction, &v->choices, shares, &wi, &sample))
         return false;
-    if (footprint)
-        wave_leave(scene, &at, hit, dir, wi, &sample, footprint);
-    const struct surface *s = &at.surface;
+    if (v->footprint)
+        wave_leave(scene, &v->at, &w->hits[v->from], v->dir, wi, &sample, v->footprint);
+    const struct surface *s = &v->at.surface;
     wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);
     return true;
+}
+
+/* All rays under way go on from what they hit, a few at a time. */
+static void advance(const struct render_scene *scene, struct render_scratch *w, uint32_t depth,
+                    uint32_t depth_max)
+{
+    struct vertex vertices[LIGHT_POINTS_MAX];
+    uint32_t kept = 0, from = 0;
+    leave_scene(scene, w);
+    while (from < w->active_count) {
+        uint32_t count = 0;
+        for (; from < w->active_count && count < LIGHT_POINTS_MAX; from++)
+            count += w->hits[from].object != SCENE_NONE &&
+                     arrive(scene, w, from, depth, depth_max, &vertices[count]);
+        find_lights(scene, w, count, vertices);
+        for (uint32_t k = 0; k < count; k++)
+            kept += leave(scene, w, &vertices[k], depth, depth_max, kept);
+    }
+    w->active_count = kept;
 }
 
 void integrate_path(const struct render_scene *scene, struct render_scratch *w)
@@ -204,14 +312,12 @@ void integrate_path(const struct render_scene *scene, struct render_scratch *w)
     for (uint32_t depth = 1; w->active_count > 0 && depth <= depth_max; depth++) {
         if (depth > 1)
             wave_trace(scene, w);
-        uint32_t kept = 0, set = (depth - 1) * WAVE_SETS_PER_VERTEX;
+        uint32_t set = (depth - 1) * WAVE_SETS_PER_VERTEX;
         if (depth < depth_max)
             wave_draw(w, WAVE_SET_VERTEX + set, w->vertex_u);
         if (depth < depth_max && chooses_always(scene))
             wave_draw(w, WAVE_SET_CHOICE + set, w->choice_u);
-        for (uint32_t i = 0; i < w->active_count; i++)
-            kept += advance(scene, w, i, depth, depth_max, kept);
-        w->active_count = kept;
+        advance(scene, w, depth, depth_max);
         wave_gather(scene, w);
     }
     if (wave_group_side(scene) > 1)

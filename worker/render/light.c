@@ -1,6 +1,12 @@
 #include "worker/render/light.h"
 
+#include "worker/render/sky_batch.h"
 #include "worker/render/warp.h"
+
+_Static_assert((int)LIGHT_POINTS_MAX == (int)SKY_BATCH, "points fill a batch of the sky");
+
+/* So few are done one by one. */
+enum { SKY_BATCH_LEAST = 3 };
 
 rgb light_emission(const struct light *l, double b1, double b2)
 {
@@ -144,14 +150,18 @@ static double constant_sky_pdf(vec3 n, vec3 w)
     return cosine > 0 ? cosine * VEC_INV_PI : 0;
 }
 
+static double sky_probability(const struct light_table *t)
+{
+    return t->environment_light == SCENE_NONE ? 0 : t->lights[t->environment_light].probability;
+}
+
 rgb environment_radiance(const struct light_table *t, vec3 n, vec3 w, double *pdf)
 {
     const struct environment *e = &t->environment;
     *pdf = 0;
     if (!e->present)
         return rgb_grey(0);
-    double probability =
-        t->environment_light == SCENE_NONE ? 0 : t->lights[t->environment_light].probability;
+    double probability = sky_probability(t);
     if (!e->texture) {
         *pdf = probability * constant_sky_pdf(n, w);
         return e->factor;
@@ -164,6 +174,31 @@ rgb environment_radiance(const struct light_table *t, vec3 n, vec3 w, double *pd
     if (sine > 0)
         *pdf = probability * per_steradian(sky_density(&e->map, sky_table(n), u, v), sine);
     return environment_lookup(e, u, v);
+}
+
+void environment_radiances(const struct light_table *t, uint32_t count, const vec3 n[],
+                           const vec3 w[], rgb radiance[], double pdf[])
+{
+    const struct environment *e = &t->environment;
+    if (!e->present || !e->texture || count < SKY_BATCH_LEAST) {
+        for (uint32_t k = 0; k < count; k++)
+            radiance[k] = environment_radiance(t, n[k], w[k], &pdf[k]);
+        return;
+    }
+    struct sky_batch b = {0};
+    for (uint32_t k = 0; k < count; k++) {
+        const double normal[3] = {n[k].x, n[k].y, n[k].z}, dir[3] = {w[k].x, w[k].y, w[k].z};
+        for (int axis = 0; axis < 3; axis++) {
+            b.n[axis][k] = normal[axis];
+            b.w[axis][k] = dir[axis];
+        }
+    }
+    sky_batch_look(e, &b);
+    double probability = sky_probability(t);
+    for (uint32_t k = 0; k < count; k++) {
+        pdf[k] = probability * b.pdf[k];
+        radiance[k] = environment_lookup(e, b.x[k], b.y[k]);
+    }
 }
 
 static bool sample_constant_sky(const struct environment *e, vec3 n, double u, double v,
@@ -280,6 +315,65 @@ bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, do
         return false;
     s->pdf *= probability;
     return true;
+}
+
+/* Samples of the sky for the points in `wanted`; returns which are there. */
+static uint32_t sample_sky_points(const struct environment *e, uint32_t wanted,
+                                  const struct light_point points[], struct light_sample s[])
+{
+    struct sky_batch b = {.x = {0}};
+    uint32_t numbers[LIGHT_POINTS_MAX], count = 0, there = 0;
+    for (uint32_t rest = wanted; rest; rest &= rest - 1) {
+        uint32_t k = (uint32_t)__builtin_ctz(rest);
+        const struct light_point *at = &points[k];
+        b.n[0][count] = at->n.x;
+        b.n[1][count] = at->n.y;
+        b.n[2][count] = at->n.z;
+        b.x[count] = at->u;
+        b.y[count] = at->v;
+        numbers[count++] = k;
+    }
+    sky_batch_draw(e, &b);
+    for (uint32_t i = 0; i < count; i++) {
+        if (!(b.pdf[i] > 0))
+            continue;
+        s[numbers[i]] = (struct light_sample){.wi = v3(b.w[0][i], b.w[1][i], b.w[2][i]),
+                                              .distant = true,
+                                              .radiance = environment_lookup(e, b.x[i], b.y[i]),
+                                              .pdf = b.pdf[i]};
+        there |= 1u << numbers[i];
+    }
+    return there;
+}
+
+uint32_t light_sample_points(const struct light_table *t, uint32_t count,
+                             const struct light_point points[], struct light_sample s[])
+{
+    const struct environment *e = &t->environment;
+    uint32_t there = 0, sky = 0;
+    double probabilities[LIGHT_POINTS_MAX];
+    for (uint32_t k = 0; k < count && t->count > 0; k++) {
+        const struct light_point *at = &points[k];
+        struct sphere_view view = {.light = SCENE_NONE};
+        uint32_t light;
+        choose_lights(t, at->p, at->n, 1, &at->choose, &light, &probabilities[k]);
+        if (light == t->environment_light && light != SCENE_NONE && e->texture)
+            sky |= 1u << k;
+        else if (light != SCENE_NONE &&
+                 sample_light(t, light, at->p, at->n, at->u, at->v, &view, &s[k]))
+            there |= 1u << k;
+    }
+    if (__builtin_popcount(sky) >= SKY_BATCH_LEAST) {
+        there |= sample_sky_points(e, sky, points, s);
+    } else {
+        for (uint32_t k = 0; k < count; k++)
+            if (sky >> k & 1 && sample_environment(e, points[k].n, points[k].u, points[k].v, &s[k]))
+                there |= 1u << k;
+    }
+    for (uint32_t k = 0; k < count; k++)
+        if (there >> k & 1)
+            s[k].pdf *= probabilities[k];
+    return there;
 }
 
 double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,

@@ -85,6 +85,19 @@ uint32_t light_sample_many(const struct light_table *t, vec3 p, vec3 n, uint32_t
                            const double choose[], const double u[], const double v[],
                            struct light_sample s[]);
 
+/* A vertex that looks for light: the arguments of light_sample. */
+struct light_point {
+    vec3 p, n;
+    double choose, u, v;
+};
+
+enum { LIGHT_POINTS_MAX = 16 };
+
+/* For each of `count` points, at most LIGHT_POINTS_MAX, a sample with the bits that light_sample
+ * gives. Bit k of the result: sample k is there. */
+uint32_t light_sample_points(const struct light_table *t, uint32_t count,
+                             const struct light_point points[], struct light_sample s[]);
+
 /* Density with which light_sample from `p` and `n` draws the direction of a point at distance
  * squared `distance2` on light `index`, seen under the cosine `cos_light` > 0 at its own normal. */
 double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,
@@ -111,5 +124,9 @@ vec3 environment_to_scene(const struct environment *e, vec3 l);
 
 /* Radiance of the sky in a direction of scene space, and the density of light_sample with n. */
 rgb environment_radiance(const struct light_table *t, vec3 n, vec3 w, double *pdf);
+
+/* The same for `count` directions w from points with n, at most LIGHT_POINTS_MAX. */
+void environment_radiances(const struct light_table *t, uint32_t count, const vec3 n[],
+                           const vec3 w[], rgb radiance[], double pdf[]);
 
 #endif

@@ -31,21 +31,25 @@ static rgb arriving_from(const struct render_scene *scene, const struct shade *a
     return rgb_scale(rgb_mul(f, light->radiance), weight);
 }
 
-/* The only candidate. */
-static bool draw_one(const struct render_scene *scene, const struct shade *at, double choose,
-                     const double u[2], struct next_event *out)
+bool next_event_weigh(const struct render_scene *scene, const struct shade *at,
+                      const struct light_sample *light, rgb *arriving)
 {
-    struct light_sample *light = &out->light;
-    if (!light_sample(&scene->lights, at->surface.p, next_event_side(at), choose, u[0], u[1],
-                      light))
-        return false;
     vec3 wi = frame_to_local(&at->frame, light->wi);
     if (!shade_is_consistent(at, light->wi, wi.z))
         return false;
     double pdf;
     rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
-    out->arriving = arriving_from(scene, at, 1, light, wi, f, pdf);
+    *arriving = arriving_from(scene, at, 1, light, wi, f, pdf);
     return !rgb_is_black(f);
+}
+
+/* The only candidate. */
+static bool draw_one(const struct render_scene *scene, const struct shade *at, double choose,
+                     const double u[2], struct next_event *out)
+{
+    return light_sample(&scene->lights, at->surface.p, next_event_side(at), choose, u[0], u[1],
+                        &out->light) &&
+           next_event_weigh(scene, at, &out->light, &out->arriving);
 }
 
 /* What the candidates in `there`, of `count`, send back along the path; black: nothing. */

@@ -28,6 +28,10 @@ uint32_t next_event_count(const struct render_scene *scene, const struct materia
 /* The side from which a surface takes light, for light_sample. */
 vec3 next_event_side(const struct shade *at);
 
+/* What the only candidate of a vertex sends back along the path; false if nothing. */
+bool next_event_weigh(const struct render_scene *scene, const struct shade *at,
+                      const struct light_sample *light, rgb *arriving);
+
 /* Draws `count` candidates and keeps one. `choose` picks their lights, u and v their points, `keep`
  * which is kept; all uniform in [0,1), `keep` looked at only if there are several. False when
  * nothing arrives from any. */

@@ -71,7 +71,7 @@ static inline double warp_turn_of(double y, double x)
     /* Above half of the eighth from its end: tan(a - pi/4) = (tan a - 1) / (tan a + 1). */
     bool upper = low > high * 0.41421356237309503;
     double over = upper ? low - high : low, under = upper ? low + high : high;
-    double z = under > 0 ? over / under : 0;
+    double z = over / (under > 0 ? under : 1);
     double t = z * z;
     double p = -0.00402924286585152567;
     p = p * t + 0.00799715729090227499;
@@ -86,7 +86,8 @@ static inline double warp_turn_of(double y, double x)
     double turn = z * p + (upper ? 0.125 : 0);
     turn = ay > ax ? 0.25 - turn : turn;
     turn = x < 0 ? 0.5 - turn : turn;
-    return y < 0 && turn > 0 ? 1 - turn : turn;
+    double back = turn > 0 ? 1 - turn : turn;
+    return y < 0 ? back : turn;
 }
 
 /* Shirley and Chiu 1997: concentric squares to concentric circles. */
