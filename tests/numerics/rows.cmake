@@ -53,6 +53,12 @@ numerics_program(test_regressions LINKS tl_worker Threads::Threads
        test_pbrt3_182_coincident_centroids test_pbrt3_236_no_structure_in_high_dimensions
        test_povray_469_no_farthest_distance test_moonray_251_degenerate_light_faces
        test_blender_43835_decals_far_out test_fixed_stacks)
+numerics_program(test_beyond LINKS tl_worker
+  SOURCES ${numerics_dir}/test_beyond.c ${numerics_scenes}
+  ROWS test_beyond_tiny_lamp test_beyond_inside_glass test_beyond_almost_air
+       test_beyond_dim_beside_bright test_beyond_many_samples test_beyond_panorama_poles
+       test_beyond_one_bright_texel test_beyond_wide_view test_beyond_wide_lens
+       test_beyond_conductor_indices)
 
 # What other methods make of the rows; plot.py draws it.
 if(TARGET trace_peer)

@@ -37,11 +37,20 @@ static void make_albedo(const struct scene *scene, const struct scene_material *
     }
 }
 
-/* Zero outside indices mean vacuum. */
-static rgb divided(const double a[3], const double b[3])
+/* A conductor of such an index reflects all but 4e-30 of the light, and the squares of squares that
+ * Fresnel's formulas take stay far from overflow. */
+static const double CONDUCTOR_INDEX_MAX = 1e30;
+
+/* An index over that outside; zero outside means vacuum. */
+static double index_over(double inside, double outside)
 {
-    return (rgb){a[0] / (b[0] > 0 ? b[0] : 1), a[1] / (b[1] > 0 ? b[1] : 1),
-                 a[2] / (b[2] > 0 ? b[2] : 1)};
+    double index = outside > 0 ? inside / outside : inside;
+    return index < CONDUCTOR_INDEX_MAX ? index : CONDUCTOR_INDEX_MAX;
+}
+
+static rgb indices_over(const double a[3], const double b[3])
+{
+    return (rgb){index_over(a[0], b[0]), index_over(a[1], b[1]), index_over(a[2], b[2])};
 }
 
 /* A rough dielectric whose index is this close to 1 bends nothing: it has no facets to sample. */
@@ -83,8 +92,8 @@ static void make_material(const struct scene *scene, const struct scene_material
                              .eta = from->eta,
                              .R = rgb_of(from->R),
                              .T = rgb_of(from->T),
-                             .conductor_eta = divided(from->etaT, from->etaI),
-                             .conductor_k = divided(from->k, from->etaI)};
+                             .conductor_eta = indices_over(from->etaT, from->etaI),
+                             .conductor_k = indices_over(from->k, from->etaI)};
     make_albedo(scene, from, out);
     make_principled(from, out);
     if (from->type == SCENE_MATERIAL_ROUGH_DIELECTRIC && fabs(from->eta - 1) < ETA_STEP_MIN)

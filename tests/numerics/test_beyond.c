@@ -1,0 +1,381 @@
+/* Extremes that are no row of the matrix: scales that differ by 10^15 in one scene, lenses wider
+ * than the world, lights smaller than a bacterium, indices all but 1. Each against a closed form,
+ * or against the same scene without the extreme. */
+#include "tests/numerics/rows.h"
+
+#include <math.h>
+
+#include "common/mem.h"
+#include "tests/render/render_kit.h"
+
+static const double pi = 3.14159265358979323846;
+
+static void look(struct scene *s, double px, double py, double pz, double fov)
+{
+    const double at[3] = {px, py, pz};
+    memcpy(s->camera.position, at, sizeof at);
+    s->camera.fov = fov;
+}
+
+static void look_at(struct scene *s, double x, double y, double z)
+{
+    const double at[3] = {x, y, z};
+    memcpy(s->camera.look_at, at, sizeof at);
+}
+
+static size_t values_of(const struct kit_picture *p)
+{
+    return (size_t)p->width * p->height * 3;
+}
+
+static void assert_clean(const struct kit_picture *p)
+{
+    assert_int_equal(p->counters.nonfinite, 0);
+    for (size_t i = 0; i < values_of(p); i++)
+        assert_true(isfinite(p->mean[i]) && p->mean[i] >= 0);
+}
+
+/* The largest relative difference of two pictures, of values that are not 0. */
+static double apart(const struct kit_picture *a, const struct kit_picture *b)
+{
+    double worst = 0;
+    assert_int_equal(values_of(a), values_of(b));
+    for (size_t i = 0; i < values_of(a); i++) {
+        double d = fabs(a->mean[i] - b->mean[i]);
+        worst = d > 0 ? fmax(worst, d / fmax(fabs(a->mean[i]), fabs(b->mean[i]))) : worst;
+    }
+    return worst;
+}
+
+static double off_from(const struct kit_picture *p, double expected)
+{
+    double worst = 0;
+    for (size_t i = 0; i < values_of(p); i++)
+        worst = fmax(worst, fabs(p->mean[i] / expected - 1));
+    return worst;
+}
+
+/* A flat floor at y = 0, seen from above. */
+static void floor_scene(struct scene *s, uint32_t material)
+{
+    static const double ground[12] = {-4, 0, -4, -4, 0, 4, 4, 0, 4, 4, 0, -4};
+    scene_init(s);
+    kit_quad(s, ground, material == SCENE_NONE ? kit_diffuse(s, 0.5, 0.5, 0.5) : material);
+    look(s, 0, 3, 3, 30);
+    look_at(s, 0, 0, 0);
+}
+
+/* A lamp of a radius of 1e-8 lights as a point does. */
+static void test_beyond_tiny_lamp(void **state)
+{
+    (void)state;
+    static const double radii[] = {1e-8, 1e-12, 1e-15};
+    struct scene s;
+    struct job_spec spec = kit_spec(16, 4);
+    spec.max_depth = 2;
+    floor_scene(&s, SCENE_NONE);
+    struct scene_light *l = kit_light(&s, SCENE_LIGHT_POINT);
+    l->position[1] = 2;
+    struct kit_picture point = kit_render(&s, &spec, 0);
+    scene_release(&s);
+    for (int i = 0; i < 3; i++) {
+        double r = radii[i], radiance = 1 / (pi * r * r);
+        floor_scene(&s, SCENE_NONE);
+        kit_emit(&s, kit_sphere(&s, 0, 2, 0, r, SCENE_NONE), radiance, radiance, radiance);
+        struct kit_picture lamp = kit_render(&s, &spec, 0);
+        assert_clean(&lamp);
+        double off = apart(&point, &lamp);
+        printf("  a lamp of radius %g: off a point light by %.2g\n", r, off);
+        assert_true(off <= 1e-6);
+        kit_picture_free(&lamp);
+        scene_release(&s);
+    }
+    kit_picture_free(&point);
+}
+
+/* A camera in the middle of solid glass sees the sky all around, whatever the index: n^2 times as
+ * bright, as radiance is inside glass; "refraction" leaves radiance alone (docs/SCENE.md). */
+static void test_beyond_inside_glass(void **state)
+{
+    (void)state;
+    static const double etas[] = {1, 1 + 1e-15, 1 + 1e-7, 1.5, 100};
+    static const enum scene_material_type types[] = {SCENE_MATERIAL_REFRACTION,
+                                                     SCENE_MATERIAL_GLASS};
+    for (int type = 0; type < 2; type++)
+        for (int e = 0; e < 5; e++) {
+            struct scene s;
+            struct scene_material *m;
+            scene_init(&s);
+            uint32_t glass = kit_material(&s, types[type], &m);
+            m->eta = etas[e];
+            kit_sphere(&s, 0, 0, 0, 1, glass);
+            kit_constant_sky(&s, 1);
+            look(&s, 0, 0, 1e-3, 90);
+            struct job_spec spec = kit_spec(16, 16);
+            spec.max_depth = 4096;
+            spec.rr_threshold = 0;
+            struct kit_picture p = kit_render(&s, &spec, 0);
+            assert_clean(&p);
+            double off = off_from(&p, type ? etas[e] * etas[e] : 1);
+            printf("  inside %s of index %.9g: off by %.2g\n", type ? "glass" : "refraction",
+                   etas[e], off);
+            assert_true(off <= 1e-6);
+            kit_picture_free(&p);
+            scene_release(&s);
+        }
+}
+
+/* An index of 1 + 1e-15: what is behind is seen as through air. */
+static void test_beyond_almost_air(void **state)
+{
+    (void)state;
+    static const enum scene_material_type types[] = {
+        SCENE_MATERIAL_REFRACTION, SCENE_MATERIAL_GLASS, SCENE_MATERIAL_ROUGH_DIELECTRIC};
+    struct job_spec spec = kit_spec(24, 4);
+    spec.integrator = JOB_INTEGRATOR_INTERSECTION_TEST;
+    for (int type = 0; type < 3; type++) {
+        struct kit_picture p[2];
+        for (int k = 0; k < 2; k++) {
+            struct scene s;
+            struct scene_material *m;
+            scene_init(&s);
+            kit_cornell(&s, KIT_BOXES);
+            uint32_t glass = kit_material(&s, types[type], &m);
+            m->eta = k ? 1 + 1e-15 : 1;
+            m->alpha_x = m->alpha_y = 0.3;
+            kit_sphere(&s, 0, 1, 0.7, 0.4, glass);
+            p[k] = kit_render(&s, &spec, 0);
+            assert_clean(&p[k]);
+            scene_release(&s);
+        }
+        assert_true(apart(&p[0], &p[1]) <= 1e-9);
+        kit_picture_free(&p[0]);
+        kit_picture_free(&p[1]);
+    }
+}
+
+/* Walls of radiance 1e-30 and 1e30 that meet between two pixels: neither is lost in the other. */
+static void test_beyond_dim_beside_bright(void **state)
+{
+    (void)state;
+    static const double left[12] = {-9, -9, 0, 0, -9, 0, 0, 9, 0, -9, 9, 0};
+    static const double right[12] = {0, -9, 0, 9, -9, 0, 9, 9, 0, 0, 9, 0};
+    struct scene s;
+    scene_init(&s);
+    kit_emit(&s, kit_quad(&s, left, SCENE_NONE), 1e-30, 1e-30, 1e-30);
+    kit_emit(&s, kit_quad(&s, right, SCENE_NONE), 1e30, 1e30, 1e30);
+    look(&s, 0, 0, 3, 60);
+    struct job_spec spec = kit_spec(8, 16);
+    struct kit_picture p = kit_render(&s, &spec, 0);
+    assert_clean(&p);
+    for (size_t i = 0; i < 8 * 8 * 3; i++)
+        assert_true(fabs(p.mean[i] / (i % 8 < 4 ? 1e-30 : 1e30) - 1) <= 1e-6);
+    kit_picture_free(&p);
+    scene_release(&s);
+}
+
+/* One pixel of 2^20 samples (--long: 2^26), half of it lit; float sums would have drifted. */
+static void test_beyond_many_samples(void **state)
+{
+    (void)state;
+    static const double right[12] = {0, -9, 0, 9, -9, 0, 9, 9, 0, 0, 9, 0};
+    static const enum job_sampler samplers[] = {JOB_SAMPLER_SOBOL, JOB_SAMPLER_HALTON,
+                                                JOB_SAMPLER_INDEPENDENT};
+    struct scene s;
+    scene_init(&s);
+    kit_emit(&s, kit_quad(&s, right, SCENE_NONE), 1, 0.1, 1e-20);
+    look(&s, 0, 0, 3, 60);
+    for (int k = 0; k < 3; k++) {
+        struct job_spec spec = kit_spec(1, UINT64_C(1) << (rows_long ? 26 : 20));
+        spec.sampler = samplers[k];
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_clean(&p);
+        double noise = k < 2 ? 1e-5 : 6 / sqrt((double)spec.spp);
+        printf("  %s: %llu samples of a pixel half lit: off by %.2g\n", job_sampler_names[k],
+               (unsigned long long)spec.spp, p.mean[0] / 0.5 - 1);
+        assert_true(fabs(p.mean[0] / 0.5 - 1) <= noise);
+        assert_true(fabs(p.mean[1] / (0.1 * p.mean[0]) - 1) <= 1e-6);
+        assert_true(fabs(p.mean[2] / (1e-20 * p.mean[0]) - 1) <= 1e-6);
+        kit_picture_free(&p);
+    }
+    scene_release(&s);
+}
+
+/* A panorama in the integrating sphere: the rows at the poles are as right as all others. */
+static void test_beyond_panorama_poles(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct scene_material *m;
+    scene_init(&s);
+    uint32_t material = kit_material(&s, SCENE_MATERIAL_DIFFUSE, &m);
+    m->color[0] = m->color[1] = m->color[2] = 0.7;
+    m->twosided = true;
+    kit_sphere(&s, 0, 0, 0, 2, material);
+    kit_light(&s, SCENE_LIGHT_POINT);
+    look(&s, 0.3, 0.4, 0.5, 45);
+    s.camera.type = SCENE_CAMERA_PANORAMA;
+    struct job_spec spec = kit_spec(32, 4);
+    spec.max_depth = 3;
+    spec.rr_threshold = 0;
+    struct kit_picture p = kit_render(&s, &spec, 0);
+    assert_clean(&p);
+    double off = off_from(&p, 0.7 / (pi * 4) * 1.7);
+    printf("  panorama: off by %.2g\n", off);
+    assert_true(off <= 1e-6);
+    kit_picture_free(&p);
+    scene_release(&s);
+}
+
+/* A sky, all black but for one texel. Radiance of the floor: albedo / pi * L cos * solid angle,
+ * both over the texel. */
+static void test_beyond_one_bright_texel(void **state)
+{
+    (void)state;
+    enum { WIDTH = 512, HEIGHT = 256, COLUMN = 100, ROW = 90 };
+    struct scene s;
+    floor_scene(&s, SCENE_NONE);
+    float *pixels = mem_calloc((size_t)WIDTH * HEIGHT * 3, sizeof *pixels);
+    s.images = mem_calloc(1, sizeof *s.images);
+    assert_non_null(pixels);
+    assert_non_null(s.images);
+    s.image_count = 1;
+    s.images[0] = (struct scene_image){WIDTH, HEIGHT, 3, SCENE_IMAGE_F32, pixels};
+    for (int k = 0; k < 3; k++)
+        pixels[3 * (ROW * WIDTH + COLUMN) + k] = 1e6f;
+    uint32_t texture = kit_constant_texture(&s, 1);
+    scene_image_texture_init(&s.textures[texture]);
+    s.textures[texture].name =
+        s.textures[texture].name ? s.textures[texture].name : mem_strdup("sky");
+    s.textures[texture].image = 0;
+    s.textures[texture].filter = SCENE_FILTER_NEAREST;
+    s.envmap.texture = texture;
+    s.envmap.scale = 1;
+    double top = pi * ROW / HEIGHT, low = pi * (ROW + 1) / HEIGHT;
+    /* The integral of cos(theta) sin(theta), times the turn. */
+    double cosine = 0.5 * (sin(low) * sin(low) - sin(top) * sin(top)) * 2 * pi / WIDTH;
+    double expected = 0.5 / pi * 1e6 * cosine;
+    for (int profile = 0; profile < 2; profile++) {
+        struct job_spec spec = kit_spec(16, 1024);
+        spec.max_depth = 2;
+        spec.profile = profile ? JOB_PROFILE_NEE : JOB_PROFILE_MIS;
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_clean(&p);
+        double mean = kit_picture_mean(&p);
+        printf("  a texel of 1e6: %s off by %.2g, worst pixel %.2g\n",
+               job_profile_names[spec.profile], mean / expected - 1, off_from(&p, expected));
+        /* Part of the samples are drawn without looking at the sky: 4 % of them miss the texel. */
+        assert_true(fabs(mean / expected - 1) <= 4 * 0.2 / sqrt(16.0 * 16 * 1024));
+        assert_true(off_from(&p, expected) <= 5 * 0.2 / sqrt(1024));
+        kit_picture_free(&p);
+    }
+    scene_release(&s);
+}
+
+/* A field of view of all but 180 degrees over a shining plane without end: half of the picture. */
+static void test_beyond_wide_view(void **state)
+{
+    (void)state;
+    static const double ground[12] = {-1e9, 0, -1e9, -1e9, 0, 1e9, 1e9, 0, 1e9, 1e9, 0, -1e9};
+    static const double fovs[] = {1e-6, 90, 179, 179.9999, 179.9999999};
+    for (int i = 0; i < 5; i++) {
+        struct scene s;
+        scene_init(&s);
+        kit_emit(&s, kit_quad(&s, ground, SCENE_NONE), 2, 2, 2);
+        /* The ground ends at 1e9: nearer to it for a view that hardly opens. */
+        double height = i == 0 ? 1e-2 : 1;
+        look(&s, 0, height, 0, fovs[i]);
+        look_at(&s, 0, height, -1);
+        struct job_spec spec = kit_spec(16, 4);
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_clean(&p);
+        for (size_t k = 0; k < values_of(&p); k++)
+            assert_true(p.mean[k] == (k / 16 % 16 < 8 ? 0 : 2));
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
+}
+
+/* A lens wider than the scene: what is in focus is as sharp as through a pinhole. */
+static void test_beyond_wide_lens(void **state)
+{
+    (void)state;
+    static const double square[12] = {-0.5, -0.5, 0, 0.5, -0.5, 0, 0.5, 0.5, 0, -0.5, 0.5, 0};
+    static const double radii[] = {0.1, 1e3, 1e9};
+    struct job_spec spec = kit_spec(16, 16);
+    struct kit_picture pinhole = {0};
+    for (int i = -1; i < 3; i++) {
+        struct scene s;
+        scene_init(&s);
+        kit_emit(&s, kit_quad(&s, square, SCENE_NONE), 2, 2, 2);
+        look(&s, 0, 0, 3, 40);
+        if (i >= 0) {
+            s.camera.type = SCENE_CAMERA_THIN_LENS;
+            s.camera.focal_length = 3;
+            s.camera.aperture_radius = radii[i];
+        }
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_clean(&p);
+        if (i < 0) {
+            pinhole = p;
+            continue;
+        }
+        double differ = 0, mean = kit_picture_mean(&pinhole);
+        for (size_t k = 0; k < values_of(&p); k++)
+            differ = fmax(differ, fabs(p.mean[k] - pinhole.mean[k]));
+        printf("  a lens of radius %g: worst pixel off by %.2g, mean by %.2g\n", radii[i], differ,
+               kit_picture_mean(&p) / mean - 1);
+        assert_true(differ <= 2.0 / 16 + 1e-9); /* a sample on the edge */
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
+    kit_picture_free(&pinhole);
+}
+
+/* A conductor's indices may be anything: it reflects between nothing and all. */
+static void test_beyond_conductor_indices(void **state)
+{
+    (void)state;
+    static const double values[] = {0, 5e-324, 1e-310, 1e-100, 1, 1e9, 1e20, 1e40, 1e100, 1e150};
+    enum { COUNT = sizeof values / sizeof *values };
+    for (int i = 0; i < COUNT * COUNT * COUNT; i++) {
+        struct scene s;
+        struct scene_material *m;
+        scene_init(&s);
+        uint32_t metal = kit_material(&s, SCENE_MATERIAL_ROUGH_CONDUCTOR, &m);
+        for (int k = 0; k < 3; k++) {
+            m->etaI[k] = values[i % COUNT];
+            m->etaT[k] = values[i / COUNT % COUNT];
+            m->k[k] = values[i / COUNT / COUNT];
+        }
+        kit_sphere(&s, 0, 0, 0, 1, metal);
+        kit_constant_sky(&s, 1);
+        look(&s, 0, 0, 3, 30);
+        struct job_spec spec = kit_spec(4, 4);
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        if (p.counters.nonfinite)
+            fail_msg("etaI %g, etaT %g, k %g: %llu samples are no numbers", values[i % COUNT],
+                     values[i / COUNT % COUNT], values[i / COUNT / COUNT],
+                     (unsigned long long)p.counters.nonfinite);
+        assert_true(kit_picture_mean(&p) <= 1 + 1e-3);
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
+}
+
+int main(int argc, char **argv)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_beyond_tiny_lamp),
+        cmocka_unit_test(test_beyond_inside_glass),
+        cmocka_unit_test(test_beyond_almost_air),
+        cmocka_unit_test(test_beyond_dim_beside_bright),
+        cmocka_unit_test(test_beyond_many_samples),
+        cmocka_unit_test(test_beyond_panorama_poles),
+        cmocka_unit_test(test_beyond_one_bright_texel),
+        cmocka_unit_test(test_beyond_wide_view),
+        cmocka_unit_test(test_beyond_wide_lens),
+        cmocka_unit_test(test_beyond_conductor_indices),
+    };
+    return ROWS_RUN(argc, argv, tests);
+}
