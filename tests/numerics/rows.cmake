@@ -32,7 +32,7 @@ set(numerics_kit ${PROJECT_SOURCE_DIR}/tests/prop/test_accel_kit.c
   ${PROJECT_SOURCE_DIR}/tests/bench/trace_scene.c ${PROJECT_SOURCE_DIR}/scenes/gen_mesh.c)
 numerics_program(test_rows_watertight LINKS tl_render Threads::Threads
   SOURCES ${numerics_dir}/test_rows_watertight.c ${numerics_dir}/closed_mesh.c ${numerics_kit}
-  ROWS test_t05_leaks test_t06_lattice test_t07_boxes test_t07_kernels test_t07_no_rays
+  ROWS test_t05_leaks test_t05_instances test_t06_lattice test_t07_boxes test_t07_kernels test_t07_no_rays
        test_t08_needles)
 set(numerics_scenes ${PROJECT_SOURCE_DIR}/tests/render/render_kit.c)
 numerics_program(test_rows_degenerate LINKS tl_worker Threads::Threads

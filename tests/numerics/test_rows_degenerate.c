@@ -114,11 +114,16 @@ static void test_t10_coincident_centres(void **state)
                                   (uint32_t)m[kind].vertex_count, (uint32_t)m[kind].triangle_count};
         struct accel_object object = {.type = ACCEL_TRIANGLES};
         struct accel_input input = {&view, 1, &object, 1};
-        double begin = processor_seconds();
-        accel_free(kit_build(&input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL));
-        seconds[kind] = processor_seconds() - begin;
+        /* The least of some: what else the machine does only adds. */
+        for (int run = 0; run < 5; run++) {
+            double begin = processor_seconds();
+            accel_free(kit_build(&input, JOB_BUILDER_SAH, ACCEL_ISA_AUTO, NULL));
+            double spent = processor_seconds() - begin;
+            seconds[kind] = run == 0 ? spent : fmin(seconds[kind], spent);
+        }
     }
     printf("  T10 build time over that of triangles at random: %.2f\n", seconds[0] / seconds[1]);
+    assert_true(seconds[0] <= 2 * seconds[1]);
     gen_mesh_release(&m[1]);
     check_against_brute("T10 coincident centres", &m[0], rows_long ? 60 : 30);
 }

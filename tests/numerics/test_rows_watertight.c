@@ -38,7 +38,16 @@ static size_t count_leaks(const struct accel *a, const struct gen_mesh *m, size_
     return leaks;
 }
 
-/* 10^8 rays a mesh with --long; every kernel and builder gets its share. */
+/* The rays that one builder and kernel get: 10^8 with --long, but for brute force, which would take
+ * days. */
+static size_t leak_rays(bool brute)
+{
+    if (brute)
+        return rows_long ? 300000 : 2000;
+    return rows_long ? 100000000 : 100000;
+}
+
+/* Every mesh through every kernel and builder. */
 static void test_t05_leaks(void **state)
 {
     (void)state;
@@ -52,19 +61,97 @@ static void test_t05_leaks(void **state)
         for (int builder = 0; builder < JOB_BUILDER_COUNT; builder++)
             for (int i = 0; i < 3; i++) {
                 bool brute = builder == JOB_BUILDER_NONE;
-                size_t count =
-                    brute ? (rows_long ? 300000 : 2000) : (rows_long ? 16700000 : 100000);
                 if (brute && i > 0)
                     continue; /* without a tree there is one kernel */
                 struct accel *a = kit_build(&s.input, (enum job_builder)builder, isas[i], NULL);
-                leaks += count_leaks(a, &copy, count);
-                total += count;
+                leaks += count_leaks(a, &copy, leak_rays(brute));
+                total += leak_rays(brute);
                 accel_free(a);
             }
         printf("  T5 %s: %zu leaks of %zu rays\n", closed_names[kind], leaks, total);
+        (void)fflush(stdout);
         assert_int_equal(leaks, 0);
         trace_scene_release(&s);
     }
+}
+
+/* Rows 0 to 2 of the inverse, as the scene build computes it: by cofactors, in double. */
+static void affine_inverse(const double m[12], double out[12])
+{
+    double c[9];
+    for (int r = 0; r < 3; r++)
+        for (int k = 0; k < 3; k++) {
+            int r1 = 4 * ((r + 1) % 3), r2 = 4 * ((r + 2) % 3), k1 = (k + 1) % 3, k2 = (k + 2) % 3;
+            c[3 * r + k] = m[r1 + k1] * m[r2 + k2] - m[r1 + k2] * m[r2 + k1];
+        }
+    double det = m[0] * c[0] + m[1] * c[1] + m[2] * c[2];
+    for (int r = 0; r < 3; r++) {
+        for (int k = 0; k < 3; k++)
+            out[4 * r + k] = c[3 * k + r] / det;
+        out[4 * r + 3] = -(out[4 * r] * m[3] + out[4 * r + 1] * m[7] + out[4 * r + 2] * m[11]);
+    }
+}
+
+/* Rays from inside a mesh under a transform, at what its vertices and edges have become. */
+static size_t instance_leaks(const struct gen_mesh *m, const double to_scene[12], bool compact,
+                             size_t count)
+{
+    struct accel_mesh view = {m->positions, m->indices, (uint32_t)m->vertex_count,
+                              (uint32_t)m->triangle_count};
+    struct accel_object object = {.type = ACCEL_INSTANCE};
+    struct accel_input input = {&view, 1, &object, 1};
+    struct accel_options options = {.compact = compact};
+    struct accel *a;
+    uint64_t state = 8;
+    size_t leaks = 0;
+    memcpy(object.to_scene, to_scene, sizeof object.to_scene);
+    affine_inverse(to_scene, object.from_scene);
+    assert_int_equal(accel_new(&input, &options, NULL, &a), ERR_OK);
+    for (size_t i = 0; i < count; i++) {
+        struct ray ray, at;
+        struct hit hit;
+        closed_ray(m, &state, i, &ray);
+        at = ray;
+        for (int r = 0; r < 3; r++) {
+            const double *row = to_scene + 4 * r;
+            double to = row[3];
+            at.org[r] = row[3];
+            for (int k = 0; k < 3; k++) {
+                at.org[r] += row[k] * ray.org[k];
+                to += row[k] * (ray.org[k] + ray.dir[k]);
+            }
+            at.dir[r] = to - at.org[r];
+        }
+        accel_closest(a, &at, &hit);
+        leaks += hit.object == SCENE_NONE;
+    }
+    accel_free(a);
+    return leaks;
+}
+
+/* The other ways to a triangle: an instance under a shear and a mirroring, and a tree of less
+ * memory. */
+static void test_t05_instances(void **state)
+{
+    (void)state;
+    static const double shears[][12] = {
+        {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0},
+        {1, 0.7, -0.3, 0.125, 0, 1, 0.9, -3.7, 0, 0, 1, 1e3},
+        {1e-5, 0, 0, 0, 0, -1e-5, 0, 1e-7, 0, 0, 1e-5, 0.3},
+        {0.6, -800, 0, 1e6, 0.8, 600, 0, 0, 0, 0, 1e-3, 0},
+    };
+    for (int kind = 0; kind < CLOSED_KINDS; kind++)
+        for (size_t k = 0; k < sizeof shears / sizeof *shears; k++)
+            for (int compact = 0; compact < 2; compact++) {
+                struct gen_mesh mesh;
+                closed_make((enum closed_kind)kind, &mesh);
+                size_t count = rows_long ? 5000000 : 60000;
+                size_t leaks = instance_leaks(&mesh, shears[k], compact, count);
+                if (leaks)
+                    fail_msg("%s, transform %zu, compact %d: %zu leaks of %zu", closed_names[kind],
+                             k, compact, leaks, count);
+                gen_mesh_release(&mesh);
+            }
 }
 
 /* --- T6 ---------------------------------------------------------------------- */
@@ -474,9 +561,10 @@ static void test_t08_needles(void **state)
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_t05_leaks),   cmocka_unit_test(test_t06_lattice),
-        cmocka_unit_test(test_t07_boxes),   cmocka_unit_test(test_t07_kernels),
-        cmocka_unit_test(test_t07_no_rays), cmocka_unit_test(test_t08_needles),
+        cmocka_unit_test(test_t05_leaks),   cmocka_unit_test(test_t05_instances),
+        cmocka_unit_test(test_t06_lattice), cmocka_unit_test(test_t07_boxes),
+        cmocka_unit_test(test_t07_kernels), cmocka_unit_test(test_t07_no_rays),
+        cmocka_unit_test(test_t08_needles),
     };
     return ROWS_RUN(argc, argv, tests);
 }

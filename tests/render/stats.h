@@ -16,6 +16,21 @@ static inline double stats_chi2_z(double chi2, double degrees)
     return (pow(chi2 / degrees, 1.0 / 3) - (1 - spread)) / sqrt(spread);
 }
 
+/* How many standard deviations one of `tests` normal values must exceed for all of them together to
+ * do so by chance with probability `alpha` (Sidak 1967); one-sided. */
+static inline double stats_sidak_z(double alpha, double tests)
+{
+    double one = -expm1(log1p(-alpha) / tests), low = 0, high = 38;
+    for (int i = 0; i < 100; i++) {
+        double z = 0.5 * (low + high);
+        if (0.5 * erfc(z / sqrt(2)) > one)
+            low = z;
+        else
+            high = z;
+    }
+    return high;
+}
+
 /* Compares counts with expectations; cells that expect less than five are pooled. Returns the
  * deviation as stats_chi2_z, or 0 when there is nothing to compare, or 1e9 for a count where
  * nothing at all is expected. */

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "tests/render/render_kit.h"
+#include "tests/render/stats.h"
 
 static void look(struct scene *s, double px, double py, double pz, double fov)
 {
@@ -121,9 +122,9 @@ static void test_t13_integrating_sphere(void **state)
 /* Mean of the picture and the variance of that mean, from 8 seeds. */
 static void estimate(const struct scene *s, struct job_spec spec, double *mean, double *variance)
 {
-    enum { SEEDS = 8 };
+    enum { PICTURES = 8 };
     double sum = 0, sum2 = 0;
-    for (uint64_t seed = 1; seed <= SEEDS; seed++) {
+    for (uint64_t seed = 1; seed <= PICTURES; seed++) {
         spec.seed = seed;
         struct kit_picture p = kit_render(s, &spec, 0);
         assert_int_equal(p.counters.nonfinite, 0);
@@ -132,8 +133,8 @@ static void estimate(const struct scene *s, struct job_spec spec, double *mean, 
         sum2 += v * v;
         kit_picture_free(&p);
     }
-    *mean = sum / SEEDS;
-    *variance = (sum2 / SEEDS - *mean * *mean) / (SEEDS - 1);
+    *mean = sum / PICTURES;
+    *variance = (sum2 / PICTURES - *mean * *mean) / (PICTURES - 1);
 }
 
 /* The three profiles, with and without roulette, estimate the same light. */
@@ -248,17 +249,17 @@ static void block_means(const struct scene *s, struct job_spec spec, int seeds, 
 static void test_t20_sharing(void **state)
 {
     (void)state;
-    enum { SIDE = 24, BLOCKS = SIDE / 4 * SIDE / 4 * 3, SEEDS = 10 };
+    enum { SIDE = 24, BLOCKS = SIDE / 4 * SIDE / 4 * 3, PICTURES = 10 };
     static double mean[2][BLOCKS], variance[2][BLOCKS];
     struct scene s;
     scene_init(&s);
     zoo(&s);
     struct job_spec spec = kit_spec(SIDE, 32);
     spec.max_depth = 6;
-    block_means(&s, spec, SEEDS, mean[0], variance[0]);
+    block_means(&s, spec, PICTURES, mean[0], variance[0]);
     spec.profile = JOB_PROFILE_NEE;
     spec.spp = 64;
-    block_means(&s, spec, SEEDS, mean[1], variance[1]);
+    block_means(&s, spec, PICTURES, mean[1], variance[1]);
     double worst = 0, sum2 = 0;
     for (int b = 0; b < BLOCKS; b++) {
         double z = (mean[0][b] - mean[1][b]) / sqrt(variance[0][b] + variance[1][b]);
@@ -269,6 +270,151 @@ static void test_t20_sharing(void **state)
     assert_true(worst < 8);
     assert_true(sum2 / BLOCKS < 2);
     scene_release(&s);
+}
+
+/* --- Against a reference ----------------------------------------------------- */
+
+enum { REFERENCE_SIDE = 12, REFERENCE_VALUES = REFERENCE_SIDE * REFERENCE_SIDE * 3, SEEDS = 16 };
+
+/* Means over SEEDS pictures, and the variances of those means. The last is a mean over the picture
+ * in which each pixel has a weight. */
+struct means {
+    double mean[REFERENCE_VALUES + 1], variance[REFERENCE_VALUES + 1];
+};
+
+static void means_of(const struct scene *s, struct job_spec spec, uint64_t first_seed,
+                     const double *weight, struct means *out)
+{
+    memset(out, 0, sizeof *out);
+    for (uint64_t seed = 0; seed < SEEDS; seed++) {
+        spec.seed = first_seed + seed;
+        struct kit_picture p = kit_render(s, &spec, 0);
+        assert_int_equal(p.counters.nonfinite, 0);
+        double whole = 0;
+        for (int i = 0; i <= REFERENCE_VALUES; i++) {
+            double v = i < REFERENCE_VALUES ? p.mean[i] : whole;
+            assert_true(isfinite(v));
+            whole += weight && i < REFERENCE_VALUES ? weight[i] * v : 0;
+            out->mean[i] += v / SEEDS;
+            out->variance[i] += v * v / SEEDS;
+        }
+        kit_picture_free(&p);
+    }
+    for (int i = 0; i <= REFERENCE_VALUES; i++) {
+        double left = out->variance[i] - out->mean[i] * out->mean[i];
+        out->variance[i] = (left > 0 ? left : 0) / (SEEDS - 1);
+    }
+}
+
+/* Each pixel by what it is sure of, so that one edge of a lamp does not drown the rest. */
+static void weigh(const struct means *pilot, double weight[REFERENCE_VALUES])
+{
+    for (int i = 0; i < REFERENCE_VALUES; i++)
+        weight[i] = 1 / (sqrt(pilot->variance[i]) + 1e-3 * pilot->mean[i] + 1e-9);
+}
+
+/* Chance of two means as far apart, by Welch's test; 1 where neither has any noise and both agree
+ * to floats. */
+static double chance(const struct means *a, const struct means *b, int i, double *z)
+{
+    double v = a->variance[i], w = b->variance[i], d = a->mean[i] - b->mean[i];
+    *z = 0;
+    if (fabs(d) <= 1e-6 * fabs(a->mean[i]))
+        return 1;
+    *z = d / sqrt(v + w);
+    double degrees = (v + w) * (v + w) / (v * v + w * w) * (SEEDS - 1);
+    return v + w > 0 ? stats_t_two_sided(*z, degrees) : 0;
+}
+
+/* True if no pixel and channel is off beyond chance, nor the whole picture. `tests`: how many such
+ * pixels there are in all, for Sidak's correction to a millionth. */
+static bool agrees(const char *what, const struct means *a, const struct means *b, double tests)
+{
+    double least = 1, z, one = -expm1(log1p(-1e-6) / tests);
+    for (int i = 0; i < REFERENCE_VALUES; i++)
+        least = fmin(least, chance(a, b, i, &z));
+    (void)chance(a, b, REFERENCE_VALUES, &z);
+    printf(
+        "  T20 %-32s least chance of a pixel %.1e (line %.1e), the whole %+.2f sigma, %+.4f %%\n",
+        what, least, one, z, 100 * (a->mean[REFERENCE_VALUES] / b->mean[REFERENCE_VALUES] - 1));
+    return least > one && fabs(z) < 4;
+}
+
+/* A way to render that must not change what is estimated. */
+struct way {
+    const char *name;
+    enum job_profile profile;
+    enum job_sampler sampler;
+    enum job_builder builder;
+    enum job_precision precision;
+    enum job_light_choice lights;
+    double rr;
+    uint32_t tile;
+};
+
+static const struct way ways[] = {
+    {.name = "shared paths", .rr = 0},
+    {.name = "shared paths, roulette", .rr = 0.5},
+    {.name = "roulette", .profile = JOB_PROFILE_NEE, .rr = 0.5},
+    {.name = "independent", .profile = JOB_PROFILE_NEE, .sampler = JOB_SAMPLER_INDEPENDENT},
+    {.name = "halton", .profile = JOB_PROFILE_NEE, .sampler = JOB_SAMPLER_HALTON},
+    {.name = "sobol, tiles of 7", .profile = JOB_PROFILE_NEE, .tile = 7},
+    {.name = "median", .profile = JOB_PROFILE_NEE, .builder = JOB_BUILDER_MEDIAN},
+    {.name = "float", .profile = JOB_PROFILE_NEE, .precision = JOB_PRECISION_FAST},
+    {.name = "lights by power", .lights = JOB_LIGHT_CHOICE_POWER},
+    {.name = "lights alike", .lights = JOB_LIGHT_CHOICE_UNIFORM},
+};
+enum { WAYS = sizeof ways / sizeof *ways };
+static const uint32_t depths[] = {4, 2, 9};
+
+static struct job_spec way_spec(const struct way *w, uint32_t depth, uint64_t spp)
+{
+    struct job_spec spec = kit_spec(REFERENCE_SIDE, spp);
+    spec.max_depth = depth;
+    spec.rr_threshold = w->rr;
+    spec.profile = w->profile;
+    spec.sampler = w->sampler;
+    spec.builder = w->builder;
+    spec.precision = w->precision;
+    spec.light_choice = w->lights;
+    spec.tile = w->tile ? w->tile : spec.tile;
+    return spec;
+}
+
+/* Every way against 2^16 samples a pixel (--long; else 2^12) of other seeds, without sharing and
+ * roulette, at depth 4 (--long: and 2 and 9); and lamps that are 3 % brighter must be found out. */
+static void test_t20_against_reference(void **state)
+{
+    (void)state;
+    static struct means reference, other;
+    static double weight[REFERENCE_VALUES];
+    const struct way plain = {.profile = JOB_PROFILE_NEE};
+    uint64_t reference_spp = (rows_long ? 1 << 16 : 1 << 12) / SEEDS, spp = reference_spp / 4;
+    double tests = 3.0 * WAYS * REFERENCE_VALUES;
+    bool all = true;
+    struct scene s;
+    scene_init(&s);
+    zoo(&s);
+    int last = rows_long ? 2 : 0;
+    for (int d = 0; d <= last; d++) {
+        means_of(&s, way_spec(&plain, depths[d], spp), 5000, NULL, &other);
+        weigh(&other, weight);
+        means_of(&s, way_spec(&plain, depths[d], reference_spp), 1000, weight, &reference);
+        for (int i = 0; i < WAYS; i++) {
+            char what[64];
+            (void)snprintf(what, sizeof what, "depth %u, %s", depths[d], ways[i].name);
+            means_of(&s, way_spec(&ways[i], depths[d], spp), 1, weight, &other);
+            all &= agrees(what, &other, &reference, tests);
+        }
+    }
+    for (size_t i = 0; i < s.object_count; i++)
+        for (int k = 0; k < 3; k++)
+            s.objects[i].radiance[k] *= 1.03;
+    s.envmap.scale *= 1.03;
+    means_of(&s, way_spec(&ways[0], depths[last], spp), 1, weight, &other);
+    assert_false(agrees("lamps 3 % brighter", &other, &reference, tests));
+    scene_release(&s);
+    assert_true(all);
 }
 
 /* Rays of a picture with paths that share over those without. */
@@ -321,6 +467,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_t20_profiles_in_the_box),
         cmocka_unit_test(test_t20_profiles_on_metal),
         cmocka_unit_test(test_t20_sharing),
+        cmocka_unit_test(test_t20_against_reference),
         cmocka_unit_test(sharing_where_it_pays),
     };
     return ROWS_RUN(argc, argv, tests);
