@@ -103,6 +103,12 @@ static inline bool scene_plan_has(const struct scene_plan *p, enum scene_feature
  * below, the second level of traversal costs more than the memory is worth. */
 enum { SCENE_INSTANCE_TRIANGLES_MIN = 4096 };
 
+/* A mesh whose half extent is between these parts of its distance from the scene's centre is held
+ * in floats around a centre of its own: around the scene's it would be less than 2,048 steps wide.
+ * Below the second even doubles do not tell its vertices apart out there. */
+#define SCENE_OWN_SPACE_MAX 0x1p-14
+#define SCENE_OWN_SPACE_MIN 0x1p-48
+
 /* From so many triangles in all on trees are compact: half of gigabytes is worth more than the rays
  * it costs. */
 enum { SCENE_COMPACT_TRIANGLES_MIN = 1 << 25 };

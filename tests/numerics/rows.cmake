@@ -54,11 +54,13 @@ numerics_program(test_regressions LINKS tl_worker Threads::Threads
        test_povray_469_no_farthest_distance test_moonray_251_degenerate_light_faces
        test_blender_43835_decals_far_out test_fixed_stacks)
 numerics_program(test_beyond LINKS tl_worker
-  SOURCES ${numerics_dir}/test_beyond.c ${numerics_scenes}
+  SOURCES ${numerics_dir}/test_beyond.c ${numerics_dir}/closed_mesh.c ${numerics_scenes}
+          ${PROJECT_SOURCE_DIR}/scenes/gen_mesh.c
   ROWS test_beyond_tiny_lamp test_beyond_inside_glass test_beyond_almost_air
        test_beyond_dim_beside_bright test_beyond_many_samples test_beyond_panorama_poles
        test_beyond_one_bright_texel test_beyond_wide_view test_beyond_wide_lens
-       test_beyond_conductor_indices)
+       test_beyond_conductor_indices test_beyond_screw_on_a_planet
+       test_beyond_screws_of_any_size)
 
 # What other methods make of the rows; plot.py draws it.
 if(TARGET trace_peer)

@@ -6,6 +6,7 @@
 #include <math.h>
 
 #include "common/mem.h"
+#include "tests/numerics/closed_mesh.h"
 #include "tests/render/render_kit.h"
 
 static const double pi = 3.14159265358979323846;
@@ -363,6 +364,98 @@ static void test_beyond_conductor_indices(void **state)
     }
 }
 
+/* --- Scales ---------------------------------------------------------------------- */
+
+/* A ball of 1,280 triangles, or of none, of that radius on the ground under `up`, and what looks at
+ * it. The ground is a planet or a plate as wide as the view. */
+static void screw_scene(struct scene *s, double radius, double planet, bool triangles)
+{
+    scene_init(s);
+    uint32_t grey = kit_diffuse(s, 0.6, 0.5, 0.4);
+    if (triangles) {
+        struct gen_mesh m;
+        closed_make(CLOSED_ICOSPHERE, &m);
+        double *positions = mem_alloc_array(m.vertex_count, 3 * sizeof *positions);
+        assert_non_null(positions);
+        for (size_t i = 0; i < 3 * m.vertex_count; i++)
+            positions[i] = radius * ((double)m.positions[i] + (i % 3 == 1));
+        kit_mesh(s, positions, (uint32_t)m.vertex_count, m.indices, (uint32_t)m.triangle_count,
+                 grey);
+        mem_free(positions);
+        gen_mesh_release(&m);
+    } else {
+        kit_sphere(s, 0, radius, 0, radius, grey);
+    }
+    const double w = 64 * radius;
+    const double plate[12] = {-w, 0, -w, -w, 0, w, w, 0, w, w, 0, -w};
+    uint32_t ground = kit_diffuse(s, 0.8, 0.8, 0.8);
+    if (planet > 0)
+        kit_sphere(s, 0, -planet, 0, planet, ground);
+    else
+        kit_quad(s, plate, ground);
+    look(s, 0, 4 * radius, 8 * radius, 30);
+    look_at(s, 0, radius, 0);
+    for (int k = 0; k < 3; k++) {
+        s->seed_light_position[k] = (k + 3) * radius;
+        s->seed_light_flux[k] = 50 * radius * radius;
+    }
+}
+
+/* Something of a micrometre on a planet of 1,000 km looks as on a plate of its own size. The
+ * world's doubles come in steps of 1e-10 out there: a ten-thousandth of the thing. */
+static void test_beyond_screw_on_a_planet(void **state)
+{
+    (void)state;
+    static const double radii[] = {1e-3, 1e-6}, planets[] = {1e3, 1e6};
+    for (int i = 0; i < 8; i++) {
+        double radius = radii[i / 2 % 2], planet = planets[i % 2];
+        struct job_spec spec = kit_spec(32, 64);
+        spec.integrator = JOB_INTEGRATOR_INTERSECTION_TEST;
+        struct kit_picture p[2];
+        for (int k = 0; k < 2; k++) {
+            struct scene s;
+            screw_scene(&s, radius, k ? planet : 0, i >= 4);
+            p[k] = kit_render(&s, &spec, 0);
+            assert_clean(&p[k]);
+            scene_release(&s);
+        }
+        double mean = kit_picture_mean(&p[0]), sum = 0, worst = 0;
+        for (size_t k = 0; k < values_of(&p[0]); k++) {
+            double d = fabs(p[1].mean[k] - p[0].mean[k]) / mean;
+            sum += d / (double)values_of(&p[0]);
+            worst = fmax(worst, d);
+        }
+        printf("  %s of %g on a planet of %g: pixels off by %.2g of the mean, %.2g at most\n",
+               i < 4 ? "a sphere" : "triangles", radius, planet, sum, worst);
+        assert_true(sum <= 1e-3 && worst <= 0.15);
+        kit_picture_free(&p[0]);
+        kit_picture_free(&p[1]);
+    }
+}
+
+/* T1 of it: the same bits at every scale, whatever has a space of its own. */
+static void test_beyond_screws_of_any_size(void **state)
+{
+    (void)state;
+    struct kit_picture first = {0};
+    for (int k = -40; k <= 40; k += 20) {
+        struct job_spec spec = kit_spec(24, 4);
+        struct scene s;
+        spec.integrator = JOB_INTEGRATOR_INTERSECTION_TEST;
+        screw_scene(&s, ldexp(1e-6, k), ldexp(1e3, k), true);
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        if (k == -40)
+            first = p;
+        else
+            assert_memory_equal(p.mean, first.mean, values_of(&p) * sizeof *p.mean);
+        if (k != -40)
+            kit_picture_free(&p);
+        scene_release(&s);
+    }
+    assert_true(kit_picture_mean(&first) > 0);
+    kit_picture_free(&first);
+}
+
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
@@ -376,6 +469,8 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_beyond_wide_view),
         cmocka_unit_test(test_beyond_wide_lens),
         cmocka_unit_test(test_beyond_conductor_indices),
+        cmocka_unit_test(test_beyond_screw_on_a_planet),
+        cmocka_unit_test(test_beyond_screws_of_any_size),
     };
     return ROWS_RUN(argc, argv, tests);
 }

@@ -72,9 +72,8 @@ uint32_t kit_sphere(struct scene *s, double x, double y, double z, double radius
     return (uint32_t)(s->object_count - 1);
 }
 
-/* A mesh object from vertices and triangles; copies both. */
-static uint32_t mesh(struct scene *s, const double *positions, uint32_t vertex_count,
-                     const uint32_t *indices, uint32_t triangle_count, uint32_t material)
+uint32_t kit_mesh(struct scene *s, const double *positions, uint32_t vertex_count,
+                  const uint32_t *indices, uint32_t triangle_count, uint32_t material)
 {
     s->meshes = append(s->meshes, &s->mesh_count, sizeof *s->meshes);
     struct scene_mesh *m = &s->meshes[s->mesh_count - 1];
@@ -94,7 +93,7 @@ static uint32_t mesh(struct scene *s, const double *positions, uint32_t vertex_c
 uint32_t kit_quad(struct scene *s, const double corners[12], uint32_t material)
 {
     static const uint32_t indices[6] = {0, 1, 2, 0, 2, 3};
-    return mesh(s, corners, 4, indices, 2, material);
+    return kit_mesh(s, corners, 4, indices, 2, material);
 }
 
 void kit_emit(struct scene *s, uint32_t index, double r, double g, double b)
@@ -149,7 +148,7 @@ static void cornell_block(struct scene *s, const double base[8], double height, 
         turned[3 * t + 1] = indices[3 * t + (area < 0 ? 1 : 2)];
         turned[3 * t + 2] = indices[3 * t + (area < 0 ? 2 : 1)];
     }
-    mesh(s, p, 8, turned, 10, material);
+    kit_mesh(s, p, 8, turned, 10, material);
 }
 
 static void cornell_disc(struct scene *s)
@@ -173,7 +172,7 @@ static void cornell_disc(struct scene *s)
     struct scene_material *m;
     uint32_t material = kit_material(s, SCENE_MATERIAL_REFRACTION, &m);
     m->eta = 2;
-    mesh(s, p, 32, indices, 30, material);
+    kit_mesh(s, p, 32, indices, 30, material);
 }
 
 static void cornell_walls(struct scene *s, uint32_t grey)

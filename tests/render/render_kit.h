@@ -18,6 +18,9 @@ uint32_t kit_sphere(struct scene *s, double x, double y, double z, double radius
 
 /* Corners in order; the normal is (b - a) x (d - a). */
 uint32_t kit_quad(struct scene *s, const double corners[12], uint32_t material);
+/* A mesh object from vertices and triangles; copies both. */
+uint32_t kit_mesh(struct scene *s, const double *positions, uint32_t vertex_count,
+                  const uint32_t *indices, uint32_t triangle_count, uint32_t material);
 void kit_emit(struct scene *s, uint32_t object, double r, double g, double b);
 struct scene_light *kit_light(struct scene *s, enum scene_light_type type);
 

@@ -3,7 +3,8 @@
  * Geometry is moved to the scene's centre and scaled by a power of two, in double, and each
  * vertex is rounded once, to float: so walls of different meshes that meet in the
  * world still meet. A mesh that many objects use and that is big is kept once, in its
- * own space, and instanced; all others are written out. Emitting objects always are.
+ * own space, and instanced, and one that is tiny for its place has a space of its own, too; all
+ * others are written out. Emitting objects always are.
  *
  * The result borrows nothing: the scene may be released. One thread; `runner` (may be
  * NULL) gives the builder of the tree more.

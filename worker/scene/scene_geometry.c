@@ -298,6 +298,53 @@ static enum err build_instance(struct render_scene *rs, const struct scene *scen
     return ERR_OK;
 }
 
+/* True if a mesh is so small where it stands that the floats around the scene's centre are coarse
+ * for it: `at` then gets a centre and a scale of its own. Lamps are drawn in scene space and stay
+ * there. */
+static bool wants_own_space(const struct render_scene *rs, const struct scene_mesh *m,
+                            const struct mesh_use *use, struct placement *at)
+{
+    if (use->emits || m->triangle_count == 0)
+        return false;
+    /* Two vertices tell of nearly every mesh that it is larger. */
+    size_t corners = (size_t)m->triangle_count * 3;
+    vec3 first = affine_point(at->to_world, mesh_point(m, m->indices[0]));
+    vec3 last = affine_point(at->to_world, mesh_point(m, m->indices[corners - 1]));
+    vec3 out = v3_sub(first, v3_of(rs->center));
+    if (v3_abs_max(v3_sub(last, first)) > 4 * SCENE_OWN_SPACE_MAX * v3_abs_max(out))
+        return false;
+    struct box b = empty_box;
+    double center[3], scale, extent = 0;
+    mesh_bounds(m, use, at->to_world, &b);
+    if (!box_normalise(&b, center, &scale))
+        return false;
+    for (int k = 0; k < 3; k++)
+        extent = fmax(extent, 0.5 * b.high[k] - 0.5 * b.low[k]);
+    double reach = v3_abs_max(v3_sub(v3_of(center), v3_of(rs->center)));
+    if (extent >= SCENE_OWN_SPACE_MAX * reach || extent <= SCENE_OWN_SPACE_MIN * reach)
+        return false;
+    memcpy(at->center, center, sizeof at->center);
+    at->scale = scale;
+    return true;
+}
+
+/* From there to scene space: a shift, and a power of two. */
+static void compose_own_space(struct render_object *out, const struct render_scene *rs,
+                              const struct placement *at)
+{
+    double grown = rs->scale / at->scale;
+    vec3 t = v3_scale(v3_sub(v3_of(at->center), v3_of(rs->center)), rs->scale);
+    const double shift[3] = {t.x, t.y, t.z};
+    memset(out->to_scene, 0, sizeof out->to_scene);
+    memset(out->from_scene, 0, sizeof out->from_scene);
+    for (int k = 0; k < 3; k++) {
+        out->to_scene[5 * k] = grown;
+        out->to_scene[4 * k + 3] = shift[k];
+        out->from_scene[5 * k] = 1 / grown;
+        out->from_scene[4 * k + 3] = -shift[k] / grown;
+    }
+}
+
 /* A material's own emission comes on top of the object's; its texture counts on meshes that emit
  * by the material alone. */
 static void add_material_emission(const struct scene *scene, const struct scene_object *o,
@@ -343,8 +390,10 @@ static enum err build_object(struct render_scene *rs, const struct scene *scene,
     struct placement at = {.scale = rs->scale};
     affine_of(o->transform, at.to_world);
     memcpy(at.center, rs->center, sizeof at.center);
-    out->type = ACCEL_TRIANGLES;
+    out->type = wants_own_space(rs, m, use, &at) ? ACCEL_INSTANCE : ACCEL_TRIANGLES;
     out->mesh = (uint32_t)rs->mesh_count;
+    if (out->type == ACCEL_INSTANCE)
+        compose_own_space(out, rs, &at);
     TL_TRY(place_mesh(rs, m, &at, use, &rs->meshes[rs->mesh_count]));
     rs->mesh_count++;
     return ERR_OK;
