@@ -7,8 +7,8 @@
 
 static void put_json_finding(const struct doctor_finding *f, struct buf *out)
 {
-    buf_printf(out, "{\"id\":\"%s\",\"count\":%llu,\"object\":", f->id,
-               (unsigned long long)f->count);
+    buf_printf(out, "{\"id\":\"%s\",\"count\":%llu,\"more\":%llu,\"object\":", f->id,
+               (unsigned long long)f->count, (unsigned long long)f->more);
     if (f->object == SCENE_NONE)
         buf_printf(out, "null");
     else
@@ -53,10 +53,13 @@ static void put_text(const struct doctor *d, const char *scene, struct buf *out)
         const struct doctor_finding *f = &d->findings[i];
         buf_printf(out, "%s%s%s\n", cli_safe(f->where), f->where[0] ? ": " : "", cli_safe(f->text));
         buf_printf(out, "  %s%s[%s]\n", cli_safe(f->advice), f->advice[0] ? "  " : "", f->id);
+        if (f->more)
+            buf_printf(out, "  and %llu more of this kind\n", (unsigned long long)f->more);
     }
     human_count((double)d->triangles, triangles);
-    buf_printf(out, "%s: %zu finding%s in %llu meshes, %s triangles\n", cli_safe(scene), d->count,
-               d->count == 1 ? "" : "s", (unsigned long long)d->meshes, triangles);
+    buf_printf(out, "%s: %zu finding%s in %llu mesh%s, %s triangles\n", cli_safe(scene), d->count,
+               d->count == 1 ? "" : "s", (unsigned long long)d->meshes, d->meshes == 1 ? "" : "es",
+               triangles);
 }
 
 static int examine(const struct cli *cli, const struct load *load)

@@ -10,6 +10,7 @@
 #include "client/doctor_mesh.h"
 #include "client/doctor_scene.h"
 #include "common/mem.h"
+#include "common/scene_plan.h"
 
 /* --- Findings --------------------------------------------------------------- */
 
@@ -18,11 +19,29 @@ static void print_into(char out[DOCTOR_TEXT_BYTES], const char *format, va_list 
     (void)vsnprintf(out, DOCTOR_TEXT_BYTES, format, arguments);
 }
 
+/* The last finding of an id that has as many as are listed; NULL while there is room. */
+static struct doctor_finding *last_of_many(const struct doctor *d, const char *id)
+{
+    struct doctor_finding *last = NULL;
+    size_t count = 0;
+    for (size_t i = 0; i < d->count; i++)
+        if (strcmp(d->findings[i].id, id) == 0) {
+            last = &d->findings[i];
+            count++;
+        }
+    return count >= DOCTOR_SAME_MAX ? last : NULL;
+}
+
 struct doctor_finding *doctor_add(struct doctor_visit *v, const char *id, uint64_t count,
                                   const char *advice, const char *format, ...)
 {
     struct doctor *d = v->out;
     va_list arguments;
+    struct doctor_finding *last = last_of_many(d, id);
+    if (last) {
+        last->more++;
+        return NULL;
+    }
     if (!mem_grow((void **)&d->findings, d->count, &d->capacity, sizeof *d->findings)) {
         v->out_of_memory = true;
         return NULL;
@@ -153,39 +172,79 @@ static void world_box(const struct scene_object *o, const struct doctor_mesh *m,
     }
 }
 
-/* Edges beside the two steps that the world gives them: double's own at that distance, and
- * that of the floats around the scene's centre in which the tracer holds vertices. */
-static void judge_steps(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+static bool emits(const struct scene *s, const struct scene_object *o)
 {
-    const double double_steps = 1e4, float_steps = 1e3;
-    const struct scene_object *o = &v->scene->objects[object];
-    bool mirrors;
-    double low[3], high[3], reach = 0, off = 0, edge = m->edge_median * size_of(o, &mirrors);
-    world_box(o, m, low, high);
-    for (int k = 0; k < 3; k++) {
-        reach = fmax(reach, fmax(fabs(low[k]), fabs(high[k])));
-        off = fmax(off, fmax(v->center[k] - low[k], high[k] - v->center[k]));
-    }
-    double step = reach * 0x1p-53, float_step = off * 0x1p-24;
-    if (edge > 0 && edge < double_steps * step)
+    if (o->emits || o->material == SCENE_NONE)
+        return o->emits;
+    const double *e = s->materials[o->material].emission;
+    return e[0] > 0 || e[1] > 0 || e[2] > 0;
+}
+
+/* Will the tracer hold the mesh in floats of its own, not around the scene's centre? From its world
+ * box, `off` from there: the rules of worker/scene/scene_geometry.c. */
+static bool has_own_space(const struct doctor_visit *v, const struct scene_object *o,
+                          const double low[3], const double high[3], double off)
+{
+    double extent = 0;
+    for (int k = 0; k < 3; k++)
+        extent = fmax(extent, 0.5 * high[k] - 0.5 * low[k]);
+    return !emits(v->scene, o) &&
+           ((v->uses[o->mesh] > 1 &&
+             v->scene->meshes[o->mesh].triangle_count >= SCENE_INSTANCE_TRIANGLES_MIN) ||
+            extent < SCENE_OWN_SPACE_MAX * off);
+}
+
+/* What is that long, `reach` from the world's origin and `off` from the scene's centre, beside the
+ * steps that numbers have there: double's own, and `step`, in which the tracer holds vertices. */
+static void judge_steps(struct doctor_visit *v, uint32_t object, double length, double reach,
+                        double off, double step)
+{
+    const double double_steps = 1e4, float_steps = 1e3, finest = off * 0x1p-53;
+    if (length < double_steps * reach * 0x1p-53)
         place(v,
               doctor_add(v, "far-in-world", 1,
                          "move the whole scene, camera and lights, towards the origin",
                          "at %.3g from the world's origin even doubles come in steps of %.2g, and "
-                         "half of the edges are shorter than about %.2g",
-                         reach, step, edge),
+                         "detail is of about %.2g",
+                         reach, reach * 0x1p-53, length),
               object, SCENE_NONE);
-    bool instanced = v->uses[o->mesh] > 1 &&
-                     v->scene->meshes[o->mesh].triangle_count >= DOCTOR_INSTANCE_TRIANGLES;
-    if (edge > 0 && edge < float_steps * float_step && !instanced)
+    if (length < float_steps * step || length < double_steps * finest)
         place(v,
               doctor_add(v, "coarse-beside-scene", 1,
                          "make what is largest (a ground, a sky dome) smaller or centre it here, "
                          "or use an environment_map for what is far",
-                         "half of the edges are shorter than about %.2g, and %.3g from the middle "
-                         "of the scene vertices are held in steps of %.2g",
-                         edge, off, float_step),
+                         "detail is of about %.2g, and %.3g from the middle of the scene places "
+                         "are held in steps of %.2g",
+                         length, off, step > finest ? step : finest),
               object, SCENE_NONE);
+}
+
+static void judge_place(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+{
+    const struct scene_object *o = &v->scene->objects[object];
+    bool mirrors;
+    double low[3], high[3], reach = 0, off = 0, middle = 0;
+    double edge = m->edge_median * size_of(o, &mirrors);
+    world_box(o, m, low, high);
+    for (int k = 0; k < 3; k++) {
+        reach = fmax(reach, fmax(fabs(low[k]), fabs(high[k])));
+        off = fmax(off, fmax(v->center[k] - low[k], high[k] - v->center[k]));
+        middle = fmax(middle, fabs(0.5 * low[k] + 0.5 * high[k] - v->center[k]));
+    }
+    if (edge > 0)
+        judge_steps(v, object, edge, reach, off,
+                    has_own_space(v, o, low, high, middle) ? 0 : off * 0x1p-24);
+}
+
+static void judge_sphere(struct doctor_visit *v, uint32_t object)
+{
+    const struct scene_object *o = &v->scene->objects[object];
+    double reach = 0, off = 0;
+    for (int k = 0; k < 3; k++) {
+        reach = fmax(reach, fabs(o->center[k]));
+        off = fmax(off, fabs(o->center[k] - v->center[k]));
+    }
+    judge_steps(v, object, o->radius, reach, off, 0);
 }
 
 static bool is_glass(const struct scene_material *m)
@@ -240,7 +299,7 @@ static void judge_sides(struct doctor_visit *v, uint32_t object, const struct do
 
 static void judge_object(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
 {
-    judge_steps(v, object, m);
+    judge_place(v, object, m);
     judge_sides(v, object, m);
 }
 
@@ -295,6 +354,8 @@ enum err doctor_examine(const struct scene *s, const struct diag_list *loaded, s
         for (uint32_t i = 0; i < s->object_count; i++)
             if (s->objects[i].type == SCENE_OBJECT_MESH)
                 judge_object(&v, i, &meshes[s->objects[i].mesh]);
+            else
+                judge_sphere(&v, i);
         e = doctor_judge_scene(&v, loaded);
     }
     mem_free(v.uses);

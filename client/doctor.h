@@ -10,11 +10,15 @@
 #include "common/diag.h"
 #include "common/scene.h"
 
-enum { DOCTOR_TEXT_BYTES = 400 };
+enum {
+    DOCTOR_TEXT_BYTES = 400,
+    DOCTOR_SAME_MAX = 16, /* findings of one id; what is beyond is counted in the last of them */
+};
 
 struct doctor_finding {
     const char *id;    /* static, kebab-case */
     uint64_t count;    /* how many of what the text names */
+    uint64_t more;     /* findings of this id that are not listed */
     uint32_t object;   /* index in the scene's objects, or SCENE_NONE */
     uint32_t triangle; /* the first of them, or SCENE_NONE */
     bool placed;

@@ -15,9 +15,6 @@ struct doctor_visit {
     bool out_of_memory;
 };
 
-/* Meshes that several objects use are instanced from here on (worker/scene/scene_geometry.c). */
-enum { DOCTOR_INSTANCE_TRIANGLES = 4096 };
-
 /* With the step, the distance, the median edge and how many steps that is. */
 #define DOCTOR_FAR_TEXT                                                                            \
     "coordinates come in steps of %.2g, up to %.3g from the origin, and half of the edges are "    \
@@ -25,7 +22,8 @@ enum { DOCTOR_INSTANCE_TRIANGLES = 4096 };
 #define DOCTOR_FAR_ADVICE                                                                          \
     "export the mesh around its own centre and place it by \"translate\", which is exact here"
 
-/* Appends a finding; NULL when out of memory, which is noted. */
+/* Appends a finding; NULL when out of memory, which is noted, or when there are DOCTOR_SAME_MAX of
+ * that id, which is counted. */
 struct doctor_finding *doctor_add(struct doctor_visit *v, const char *id, uint64_t count,
                                   const char *advice, const char *format, ...) TL_PRINTF(5, 6);
 

@@ -118,17 +118,50 @@ def test_far_in_world(tmp_path):
     found = examine(tmp_path, cube(), objects=[
         {"type": "mesh", "path": "mesh.obj", "translate": [1e13, 0, 0], "material_name": "it"}])
     assert found["far-in-world"]["object"] == 2
-    assert found["coarse-beside-scene"]["object"] in (1, 2)
+    assert found["coarse-beside-scene"]["object"] in (0, 1, 2)
+
+
+PLANET = {"type": "sphere", "center": [0, -1e6, 0], "radius": 1e6 - 2, "material_name": "it"}
 
 
 def test_small_beside_scene(tmp_path):
-    found = examine(tmp_path, cube(0.001), objects=[
-        {"type": "sphere", "center": [0, -1e6, 0], "radius": 1e6 - 2, "material_name": "it"}])
+    """What is small enough has floats of its own (numerics test_beyond); doubles end later."""
+    assert "coarse-beside-scene" not in examine(tmp_path, cube(0.001), objects=[PLANET])
+    found = examine(tmp_path, cube(1e-8), objects=[PLANET])
     assert found["coarse-beside-scene"]["object"] == 1
+    assert "1.1e-10" in found["coarse-beside-scene"]["text"]
+    # Lamps have not, nor has what is large and finely divided.
+    lamp = {"type": "mesh", "path": "mesh.obj", "light": {"type": "area", "radiance": 1}}
+    assert examine(tmp_path, cube(0.001), objects=[PLANET, lamp])[
+        "coarse-beside-scene"]["object"] == 3
+    points, faces = ball(side=60)
+    fine = "".join("v %.17g %.17g %.17g\n" % tuple(100 * v for v in p) for p in points)
+    fine += "".join("f %d %d %d\n" % tuple(i + 1 for i in f) for f in faces)
+    assert examine(tmp_path, fine, objects=[PLANET])["coarse-beside-scene"]["object"] == 1
     # In the middle of the same ground floats are fine.
     found = examine(tmp_path, cube(0.001), objects=[
         {"type": "sphere", "center": [0, 0, 0], "radius": 1e6, "material_name": "it"}])
     assert "coarse-beside-scene" not in found
+
+
+def test_tiny_sphere(tmp_path):
+    """Spheres of 1e-9 and 1e9 that touch: the small one's place is lost in double, too."""
+    small = {"type": "sphere", "center": [0, 1e-9, 0], "radius": 1e-9, "material_name": "it"}
+    huge = {"type": "sphere", "center": [0, -1e9, 0], "radius": 1e9, "material_name": "it"}
+    found = examine(tmp_path, objects=[huge, small])
+    assert found["coarse-beside-scene"]["object"] == 3
+    assert examine(tmp_path, objects=[small]) == {}
+
+
+def test_many_alike(tmp_path):
+    """A thousand objects with one trouble: some are listed, the others counted."""
+    glass = [{"type": "mesh", "path": "mesh.obj", "translate": [3 * i, 0, 0],
+              "material_name": "it"} for i in range(1, 1000)]
+    examine(tmp_path, cube(leave_out=2), material={"type": "glass"}, objects=glass)
+    done = tilery("doctor", tmp_path / "scene.json", "--json")
+    found = [f for f in json.loads(done.stdout)["findings"] if f["id"] == "open-glass"]
+    assert len(found) == 16 and sum(f["more"] for f in found) == 1000 - 16
+    assert "and 984 more of this kind" in tilery("doctor", tmp_path / "scene.json").stdout
 
 
 def test_shapes(tmp_path):
