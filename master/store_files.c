@@ -83,7 +83,7 @@ static uint64_t segment_number(const char *name)
     return number;
 }
 
-/* Calls for every segment of the job with a number below `below`; gives the highest seen. */
+/* The highest number of the job's segments; those below `below` are removed if so asked. */
 static uint64_t each_segment(const struct segments *s, uint64_t job, uint64_t below, bool remove)
 {
     char *path = segments_job_path(s->dir, job);
@@ -110,20 +110,20 @@ static struct segment *find(struct segments *s, uint64_t job)
     return NULL;
 }
 
-/* A place for one more: a free one, or the one unused for longest that has nothing uncommitted. */
-static struct segment *free_place(struct segments *s)
+/* A place for one more: a free one, or the one unused for longest. Where a batch has results of
+ * more jobs than there are places, that one is synced before its time; if the batch then fails,
+ * what it wrote there stays, and no index knows of it. */
+static enum err free_place(struct segments *s, struct segment **out)
 {
-    struct segment *oldest = NULL;
-    for (int i = 0; i < SEGMENTS_OPEN_MAX; i++) {
-        struct segment *g = &s->open[i];
-        if (g->job == 0)
-            return g;
-        if (g->bytes == g->bytes_counted && (!oldest || g->used_at < oldest->used_at))
+    struct segment *oldest = s->open;
+    for (struct segment *g = s->open; g < s->open + SEGMENTS_OPEN_MAX && oldest->job != 0; g++)
+        if (g->job == 0 || g->used_at < oldest->used_at)
             oldest = g;
-    }
-    if (oldest)
-        close_segment(oldest);
-    return oldest;
+    if (oldest->job != 0 && oldest->bytes > oldest->bytes_counted)
+        TL_TRY(durable_data_sync(oldest->fd));
+    close_segment(oldest);
+    *out = oldest;
+    return ERR_OK;
 }
 
 static enum err open_segment(struct segments *s, uint64_t job, struct segment **out)
@@ -134,9 +134,7 @@ static enum err open_segment(struct segments *s, uint64_t job, struct segment **
         return ERR_OK;
     }
     TL_TRY(segments_make_folder(s, job));
-    g = free_place(s);
-    if (!g)
-        return ERR_AGAIN;
+    TL_TRY(free_place(s, &g));
     uint64_t number = each_segment(s, job, 0, false) + 1;
     char *path = segments_path(s->dir, job, number);
     char *folder = segments_job_path(s->dir, job);
@@ -246,15 +244,19 @@ void segments_roll(struct segments *s, uint64_t job, uint64_t keep_from)
 
 void segments_delete_job(struct segments *s, uint64_t job)
 {
-    segments_roll(s, job, UINT64_MAX);
-    char *film = segments_film_path(s->dir, job);
+    struct segment *g = find(s, job);
+    if (g)
+        close_segment(g);
     char *folder = segments_job_path(s->dir, job);
-    if (film && folder) {
-        (void)unlink(film);
-        if (rmdir(folder) != 0 && errno != ENOENT)
-            log_warn("store", "cannot remove folder=%s error=\"%s\"", folder, strerror(errno));
-    }
-    mem_free(film);
+    DIR *d = folder ? opendir(folder) : NULL;
+    /* All of it: a kill may have left a checkpoint half-written. */
+    for (struct dirent *entry = d ? readdir(d) : NULL; entry; entry = readdir(d))
+        if (strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0)
+            (void)unlinkat(dirfd(d), entry->d_name, 0);
+    if (d)
+        (void)closedir(d);
+    if (folder && rmdir(folder) != 0 && errno != ENOENT)
+        log_warn("store", "cannot remove folder=%s error=\"%s\"", folder, strerror(errno));
     mem_free(folder);
 }
 

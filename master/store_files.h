@@ -5,6 +5,7 @@
  *
  * Appended bytes count only once segments_commit was called after segments_sync; segments_rollback
  * cuts the files back to what counted before. Store thread only (segment_read: any).
+ * Tests: tests/unit/test_store_files.c, tests/unit/test_store.c.
  */
 #ifndef MASTER_STORE_FILES_H
 #define MASTER_STORE_FILES_H
