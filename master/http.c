@@ -146,7 +146,8 @@ static void answer(struct request *r, unsigned status, const char *type,
     r->answered = true;
     r->status = status;
     r->response = response;
-    request_header(r, "Content-Type", type);
+    if (type)
+        request_header(r, "Content-Type", type);
     for (size_t i = 0; i < sizeof headers / sizeof *headers; i++)
         request_header(r, headers[i][0], headers[i][1]);
     if (status >= 400)
@@ -385,26 +386,44 @@ static bool route_match(const char *pattern, const char *path, char param[HTTP_P
     return *path == '\0';
 }
 
+/* No route of the path takes the method: says which there are. */
+static void refuse_method(struct request *r, const char *method, const char *allowed)
+{
+    if (strcmp(method, "OPTIONS") == 0) {
+        struct buf none;
+        buf_init(&none);
+        request_reply(r, MHD_HTTP_NO_CONTENT, NULL, &none);
+    } else {
+        request_problem(r, MHD_HTTP_METHOD_NOT_ALLOWED, "method-not-allowed",
+                        "%s is not possible here", method);
+    }
+    request_header(r, "Allow", allowed);
+}
+
 /* Finds the route, or answers why there is none. */
 static void find_route(struct request *r, const char *method)
 {
-    bool path_known = false;
+    char allowed[64] = "";
+    size_t used = 0;
     for (size_t i = 0; i < sizeof routes / sizeof *routes; i++) {
         if (!route_match(routes[i].path, r->path, r->param))
             continue;
-        path_known = true;
-        bool head = strcmp(method, "HEAD") == 0 && strcmp(routes[i].method, "GET") == 0;
-        if (head || strcmp(routes[i].method, method) == 0) {
+        bool get = strcmp(routes[i].method, "GET") == 0;
+        if (strcmp(routes[i].method, method) == 0 || (get && strcmp(method, "HEAD") == 0)) {
             r->route = &routes[i];
             return;
         }
+        used += (size_t)snprintf(allowed + used, sizeof allowed - used, "%s%s, ", routes[i].method,
+                                 get ? ", HEAD" : "");
+        TL_ASSERT(used < sizeof allowed - sizeof "OPTIONS");
     }
-    if (path_known)
-        request_problem(r, MHD_HTTP_METHOD_NOT_ALLOWED, "method-not-allowed",
-                        "%s is not possible here", method);
-    else
+    if (used > 0) {
+        (void)snprintf(allowed + used, sizeof allowed - used, "OPTIONS");
+        refuse_method(r, method, allowed);
+    } else {
         request_problem(r, MHD_HTTP_NOT_FOUND, "unknown-path",
                         "no such path; see /api/v1/openapi.json");
+    }
 }
 
 static void check_request(struct request *r, const char *method)

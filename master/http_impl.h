@@ -71,8 +71,8 @@ struct http {
 
 /* --- Answering (http.c) --------------------------------------------------- */
 
-/* Answers with the buffer's contents and takes them. At most once per request; later calls of a
- * request that waited resume it. */
+/* Answers with the buffer's contents (of `type`; NULL: there are none) and takes them. At most once
+ * per request; later calls of a request that waited resume it. */
 void request_reply(struct request *r, unsigned status, const char *type, struct buf *body);
 /* A header of the answer given just before (while still in the handler) or NULL response. */
 void request_header(struct request *r, const char *name, const char *value);

@@ -360,6 +360,14 @@ def test_body_limits(farm):
 def test_methods_and_paths(call):
     check_problem(call("DELETE", "/api/v1/jobs"), 405, "method-not-allowed")
     check_problem(call("POST", "/healthz"), 405, "method-not-allowed")
+    for path, allowed in (("/healthz", "GET, HEAD, OPTIONS"),
+                          ("/api/v1/jobs", "POST, GET, HEAD, OPTIONS"),
+                          ("/api/v1/jobs/j1", "GET, HEAD, PATCH, OPTIONS"),
+                          ("/api/v1/chunks/" + "0" * 64, "PUT, OPTIONS")):
+        assert call("TRACE", path)[2]["Allow"] == allowed, path
+        status, content, headers = call("OPTIONS", path)
+        assert (status, content, headers["Allow"]) == (204, b"", allowed), path
+    check_problem(call("OPTIONS", "/api/v1/job"), 404, "unknown-path")
     for path in ("/api/v1/job", "/api/v2/jobs", "/api/v1/jobs/", "/api/v1/jobs/j1/x", "//", "/..",
                  "/api/v1/jobs/" + "j" * 200):
         check_problem(call("GET", path), 404, "unknown-path")
