@@ -681,12 +681,16 @@ static enum err start_daemon(struct http *h, int fd, const struct tls_files *tls
     return ERR_OK;
 }
 
-static void make_session(struct http *h, const char *token)
+/* ERR_NOMEM: there must be no session that others can guess. */
+static enum err make_session(struct http *h, const char *token)
 {
     char *text = mem_sprintf("tilery session %" PRIu64 " %s", h->farm->id, token);
-    digest d = digest_of(text ? text : "", text ? strlen(text) : 0);
+    if (!text)
+        return ERR_NOMEM;
+    digest d = digest_of(text, strlen(text));
     digest_to_hex(&d, h->session);
     mem_free(text);
+    return ERR_OK;
 }
 
 enum err http_start(struct farm *f, const struct http_options *o, struct http **out)
@@ -698,9 +702,9 @@ enum err http_start(struct farm *f, const struct http_options *o, struct http **
     h->farm = f;
     h->stall_ms = 1;
     h->token = o->token;
-    if (o->token)
-        make_session(h, o->token);
-    enum err e = listen_on(h, o->address, &fd);
+    enum err e = o->token ? make_session(h, o->token) : ERR_OK;
+    if (e == ERR_OK)
+        e = listen_on(h, o->address, &fd);
     if (e != ERR_OK) {
         log_error("master", "cannot listen for HTTP address=%s error=\"%s\"", o->address,
                   e == ERR_USAGE ? "not an ADDRESS:PORT" : err_text(e));
