@@ -615,7 +615,9 @@ static void on_message(void *ctx, struct conn *c, const struct message *m,
     }
 }
 
-/* Only for leases of ours: memory is taken for a body of a known job's unit, and no larger. */
+/* Of registered workers alone, and no longer than their encoder can make of so many values. Memory
+ * is taken as the bytes come; whether it is a unit of ours is looked at when they are there, since
+ * a late result of a job that is gone is no fault of its worker. */
 static enum err body_wanted(void *ctx, struct conn *c, const struct message *m, uint32_t body_bytes)
 {
     (void)ctx;
