@@ -91,6 +91,8 @@ struct job {
     int64_t estimated_ms, estimate_took_ms; /* of the error so far: when last, and how long */
     uint64_t estimated_count;               /* cell-blocks that were in it */
     bool final_stored;                      /* ended and its film is checkpointed */
+    bool unstored;                          /* submitted, and its first row is not on disk yet */
+    int64_t checkpoint_failed_ms;           /* when the last one did; 0: it did not */
     uint64_t counts_stored;                 /* sum of what is counted in units, as the row has it */
 
     /* For the report. */

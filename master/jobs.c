@@ -329,14 +329,51 @@ static bool take_tags(struct farm *f, struct job *job)
     return true;
 }
 
+/* The job that can best do without its place with the scheduler: one that is paused and has
+ * nothing out, else the one of lowest priority that has not begun. NULL: none can. */
+static struct job *least_needed(const struct farm *f)
+{
+    struct job *least = NULL;
+    for (size_t i = f->job_count; i-- > 0;) {
+        struct job *job = f->jobs[i];
+        struct sched_job_info info;
+        if (!job->in_sched || job->in_store > 0)
+            continue;
+        if (job->rec.state == JOB_STATE_PAUSED && sched_job_info(f->sched, job->rec.id, &info) &&
+            info.leases == 0)
+            return job;
+        if (job->rec.state == JOB_STATE_QUEUED &&
+            (!least || job->rec.priority < least->rec.priority))
+            least = job;
+    }
+    return least;
+}
+
+/* True if this job needs a place more. */
+static bool gives_way(const struct job *job, const struct job *to)
+{
+    return job && (job->rec.state == JOB_STATE_PAUSED || job->rec.priority < to->rec.priority);
+}
+
+static bool wants_in(const struct job *job)
+{
+    return !job->in_sched && !job->unstored && job->in_store == 0 && !job->finishing &&
+           !job->loading &&
+           (job->rec.state == JOB_STATE_QUEUED || job->rec.state == JOB_STATE_RENDERING);
+}
+
 void jobs_admit(struct farm *f)
 {
     f->admit_due = false;
-    for (size_t i = 0; i < f->job_count && f->sched_jobs < JOBS_IN_SCHED_MAX; i++) {
+    struct job *least = NULL;
+    bool looked = false; /* for the one that gives way */
+    for (size_t i = 0; i < f->job_count; i++) {
         struct job *job = f->jobs[i];
-        if (job->in_sched || job->in_store > 0 || job->finishing || job->loading ||
-            (job->rec.state != JOB_STATE_QUEUED && job->rec.state != JOB_STATE_RENDERING) ||
-            !shots_may_enter(f, job))
+        bool full = f->sched_jobs >= JOBS_IN_SCHED_MAX;
+        if (full && !looked)
+            least = least_needed(f);
+        looked |= full;
+        if (!wants_in(job) || (full && !gives_way(least, job)) || !shots_may_enter(f, job))
             continue;
         if (verify_reset_liars(f, job))
             continue; /* goes on when that is stored */
@@ -348,6 +385,10 @@ void jobs_admit(struct farm *f)
         }
         if (!take_tags(f, job))
             continue;
+        if (full) {
+            jobs_leave_sched(f, least);
+            looked = false;
+        }
         enum err e = admit(f, job);
         if (e != ERR_OK) {
             tag_table_give(&f->tag_table, job->tag_bits);
@@ -503,6 +544,7 @@ enum err jobs_set_priority(struct farm *f, struct job *job, int32_t priority, st
     if (job_state_ended(job->rec.state))
         return ERR_STATE;
     job->rec.priority = priority;
+    f->admit_due |= !job->in_sched;
     struct sched_event event = {
         .type = SCHED_JOB_PRIORITY, .job = job->rec.id, .priority = priority};
     if (job->in_sched)
