@@ -302,6 +302,7 @@ static enum err load(struct farm *f, const struct farm_options *o, bool *fresh)
     TL_TRY(start_sched(f, seed));
     TL_TRY(jobs_load(f));
     TL_TRY(store_start(f->store, wake_loop, f));
+    f->running = true;
     if (fresh_seed)
         TL_TRY(store_put_value(f->store, "seed", &seed, sizeof seed));
     if (*fresh)
@@ -393,7 +394,7 @@ void farm_stop(struct farm *f, void (*done)(void *ctx), void *ctx)
 {
     f->stopped = done;
     f->stopped_ctx = ctx;
-    for (size_t i = 0; i < f->job_count; i++) {
+    for (size_t i = 0; f->running && i < f->job_count; i++) {
         struct job *job = f->jobs[i];
         if (job->film && job->journal_bytes > 0)
             job_checkpoint(f, job);

@@ -187,6 +187,7 @@ struct farm {
     uint32_t sched_jobs; /* known to the scheduler */
     struct tag_table tag_table;
 
+    bool running; /* everything was loaded, and the store takes operations */
     bool stopping;
     struct farm_counters counters;
 };
