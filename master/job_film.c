@@ -180,6 +180,9 @@ static void fetch_after(uv_work_t *request, int status)
         provenance_release(&job->provenance);
         job->provenance = w->at.provenance;
         job->rec.totals = w->at.totals; /* of the same results as the film */
+        /* A master that started after the job had ended does not know how far it had counted. */
+        if (job->sequence < w->at.covered_sequence)
+            job->sequence = job->settled = w->at.covered_sequence;
         job_plan_apply(job, job->film);
     } else if (!f->stopping)
         jobs_fail(f, job, e == ERR_NOMEM ? "out of memory" : "its checkpoint cannot be read");
