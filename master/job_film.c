@@ -10,6 +10,7 @@
 #include "common/png_file.h"
 #include "master/farm.h"
 
+enum { CHECKPOINT_AGAIN_MS = 5000 };           /* after one that failed: a film is not small */
 #define FILM_CACHE_BYTES (UINT64_C(512) << 20) /* of finished jobs' films kept in memory */
 
 enum err job_need_grid(struct job *job)
@@ -104,6 +105,7 @@ static void checkpoint_done(void *ctx, enum err e)
     TL_ASSERT(job && job->checkpointing); /* film_users kept it */
     job_film_let_go(f, job);
     job->checkpointing = false;
+    job->checkpoint_failed_ms = e == ERR_OK ? 0 : farm_now_ms(f);
     if (e == ERR_OK) {
         job->journal_bytes -= ref->journal_bytes;
         job->final_stored = job_state_ended(job->rec.state) && job->in_store == 0;
@@ -122,6 +124,9 @@ void job_checkpoint(struct farm *f, struct job *job)
      * job_film_changed comes again. */
     if (job->checkpointing || !job->film || film_holds(job->film))
         return;
+    if (job->checkpoint_failed_ms != 0 &&
+        farm_now_ms(f) - job->checkpoint_failed_ms < CHECKPOINT_AGAIN_MS)
+        return; /* jobs_tick comes again */
     struct job_ref *ref = mem_alloc(sizeof *ref);
     struct checkpoint c = {.job = job->rec.id,
                            .covered_sequence = job->settled,
