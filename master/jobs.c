@@ -447,6 +447,8 @@ static void end_job(struct farm *f, struct job *job, enum job_state state, const
     (void)snprintf(job->rec.note, sizeof job->rec.note, "%s", note);
     if (job->rec.started_us)
         job->rec.stats.total_s = (double)(job->rec.finished_us - job->rec.started_us) / 1e6;
+    /* With nothing new in its film, what is on disk is its last. */
+    job->final_stored = job->journal_bytes == 0 && job->in_store == 0;
     job_film_changed(f, job);
 }
 
