@@ -115,7 +115,9 @@ static bool parse_days(const char *text, uint32_t *seconds, int *status)
     double days = strtod(text, &end);
     if (end == text || *end || !(days >= 0 && days <= 10000))
         return wrong(status, "--retention must be 0 to 10000 days, not \"%s\"", text);
-    *seconds = (uint32_t)(days * DAY_S);
+    double exact = days * DAY_S;
+    *seconds = (uint32_t)exact;
+    *seconds += (double)*seconds < exact; /* only 0 is for ever */
     return true;
 }
 

@@ -392,7 +392,11 @@ void results_accept(struct farm *f, const struct sched_action *a)
 {
     struct result *r = f->answering;
     struct job *job = farm_job(f, a->job);
-    TL_ASSERT(r && job && job->in_sched);
+    TL_ASSERT(r && job);
+    if (!job->in_sched) { /* it failed over an earlier part of this result */
+        r->failed = true;
+        return;
+    }
     struct storing *s = mem_calloc(1, sizeof *s);
     unsigned char *body = NULL;
     enum err e = s ? job_need_film(job) : ERR_NOMEM;
