@@ -398,7 +398,7 @@ void farm_stop(struct farm *f, void (*done)(void *ctx), void *ctx)
         struct job *job = f->jobs[i];
         if (job->film && job->journal_bytes > 0)
             job_checkpoint(f, job);
-        if (!job_state_ended(job->rec.state))
+        if (!job_state_ended(job->rec.state) && !job->unstored)
             jobs_store_record(f, job);
     }
     f->stopping = true;

@@ -241,14 +241,18 @@ struct job_request {
     digest body;                    /* of the request's body, for the key */
 };
 
-/* Makes a job, and calls `done` when it is on disk. ERR_LIMIT: too many jobs or too large;
- * ERR_INPUT: the plan does not fit. */
+/* Makes a job, and calls `done` when it is on disk: before that nobody renders it. If it cannot be
+ * stored there is no such job any more when `done` is called. ERR_LIMIT: too many jobs or too
+ * large; ERR_INPUT: the plan does not fit. */
 TL_NODISCARD enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *done,
                                   void *ctx, struct job **out);
 
 /* ERR_STATE: not possible in its state. Stored by the time `done` is called. */
 TL_NODISCARD enum err jobs_set_state(struct farm *f, struct job *job, enum job_state to,
                                      store_done *done, void *ctx);
+/* Calls `done` when the job is on disk as it is now. ERR_NOMEM. */
+TL_NODISCARD enum err jobs_when_stored(struct farm *f, struct job *job, store_done *done,
+                                       void *ctx);
 TL_NODISCARD enum err jobs_set_priority(struct farm *f, struct job *job, int32_t priority,
                                         store_done *done, void *ctx);
 
@@ -304,9 +308,10 @@ void jobs_keep_counts(struct farm *f);
 
 /* --- job_keys.c ------------------------------------------------------------ */
 
-/* The job made under an Idempotency-Key; *conflict when its body differed. NULL: none. */
+/* The job made under an Idempotency-Key within STORE_KEY_LIFE_US; *conflict when its body differed.
+ * NULL: none, or it is gone. */
 struct job *jobs_by_key(const struct farm *f, const char *key, const digest *body, bool *conflict);
-/* Remembers a key; the oldest goes when there are too many. */
+/* Remembers a key, in place of an older use of it; the oldest goes when there are too many. */
 TL_NODISCARD enum err job_keys_note(struct farm *f, const char *key, const digest *body,
                                     uint64_t job, int64_t at_us);
 void job_keys_release(struct farm *f);

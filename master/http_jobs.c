@@ -376,6 +376,30 @@ static void reply_missing(struct request *r, const struct buf *missing)
     diag_release(&problems);
 }
 
+/* The key was used before: true, and the submission is taken. Its job is told once that is on disk,
+ * for it may be the one of a request that still waits. */
+static bool settle_by_key(struct request *r, struct submission *s)
+{
+    bool conflict = false;
+    struct job *job = s->has_key ? jobs_by_key(r->farm, s->key, &s->body, &conflict) : NULL;
+    if (!job && !conflict)
+        return false;
+    enum err e = ERR_OK;
+    if (conflict) {
+        request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "key-reused",
+                        "this Idempotency-Key came with another body");
+    } else {
+        s->job = job->rec.id;
+        e = jobs_when_stored(r->farm, job, submit_stored, s);
+        if (e == ERR_OK)
+            return true; /* submit_stored answers */
+        request_error(r, e);
+    }
+    (void)request_of(s->later);
+    submission_free(s);
+    return true;
+}
+
 /* The package is whole: makes the job. False: answered. */
 static bool make_job(struct request *r, struct submission *s)
 {
@@ -417,7 +441,7 @@ static void package_checked(void *ctx, enum err e, struct buf *missing)
 {
     struct submission *s = ctx;
     struct request *r = s->later->request;
-    if (r && e == ERR_OK && missing->bytes == 0 && make_job(r, s))
+    if (r && e == ERR_OK && missing->bytes == 0 && (settle_by_key(r, s) || make_job(r, s)))
         return; /* submit_stored answers */
     if (r && !r->answered) {
         if (e == ERR_OK)
@@ -449,19 +473,6 @@ static enum err read_submission(struct request *r, struct json_get *g, struct su
     return g->problems->error_count == 0 ? ERR_OK : ERR_INPUT;
 }
 
-/* True when the key was used before: answered. */
-static bool answer_by_key(struct request *r, const struct submission *s)
-{
-    bool conflict = false;
-    struct job *job = s->has_key ? jobs_by_key(r->farm, s->key, &s->body, &conflict) : NULL;
-    if (conflict)
-        request_problem(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "key-reused",
-                        "this Idempotency-Key came with another body");
-    else if (job)
-        reply_report(r, job, MHD_HTTP_CREATED);
-    return conflict || job;
-}
-
 void http_post_jobs(struct request *r)
 {
     struct json_get g;
@@ -477,13 +488,14 @@ void http_post_jobs(struct request *r)
         request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-job", "the job cannot be made",
                          &problems);
     diag_release(&problems);
-    if (e != ERR_OK || answer_by_key(r, s)) {
+    if (e == ERR_OK)
+        s->later = request_later(r);
+    if (e != ERR_OK || !s->later) {
         submission_free(s);
         return;
     }
-    s->later = request_later(r);
-    if (!s->later) {
-        submission_free(s);
+    if (settle_by_key(r, s)) {
+        request_wait(r);
         return;
     }
     e = chunks_check_package(r->farm->chunks, &s->asked.package, package_checked, s);

@@ -13,26 +13,41 @@ struct job_key {
     int64_t at_us;
 };
 
+static struct job_key *find(const struct job_keys *keys, const char *key)
+{
+    for (size_t i = 0; i < keys->count; i++)
+        if (strcmp(keys->items[i].key, key) == 0)
+            return &keys->items[i];
+    return NULL;
+}
+
 struct job *jobs_by_key(const struct farm *f, const char *key, const digest *body, bool *conflict)
 {
+    const struct job_key *k = find(&f->keys, key);
     *conflict = false;
-    for (size_t i = 0; i < f->keys.count; i++) {
-        if (strcmp(f->keys.items[i].key, key) != 0)
-            continue;
-        *conflict = !digest_equal(&f->keys.items[i].body, body);
-        return farm_job(f, f->keys.items[i].job);
-    }
-    return NULL;
+    if (!k || farm_wall_us() - k->at_us > STORE_KEY_LIFE_US)
+        return NULL;
+    *conflict = !digest_equal(&k->body, body);
+    return farm_job(f, k->job);
+}
+
+/* Takes out one; the rest stay in their order. */
+static void drop(struct job_keys *keys, struct job_key *k)
+{
+    mem_free(k->key);
+    keys->count--;
+    memmove(k, k + 1, (size_t)(keys->items + keys->count - k) * sizeof *k);
 }
 
 enum err job_keys_note(struct farm *f, const char *key, const digest *body, uint64_t job,
                        int64_t at_us)
 {
     struct job_keys *k = &f->keys;
-    if (k->count >= KEYS_MAX) {
-        mem_free(k->items[0].key);
-        memmove(k->items, k->items + 1, --k->count * sizeof *k->items);
-    }
+    struct job_key *before = find(k, key);
+    if (before)
+        drop(k, before);
+    if (k->count >= KEYS_MAX)
+        drop(k, k->items);
     if (!mem_grow((void **)&k->items, k->count, &k->capacity, sizeof *k->items))
         return ERR_NOMEM;
     char *copy = mem_strdup(key);

@@ -24,7 +24,8 @@ enum {
 
 /* --- Finding ------------------------------------------------------------ */
 
-struct job *farm_job(const struct farm *f, uint64_t id)
+/* Where it is in the table, or would be. */
+static size_t index_of(const struct farm *f, uint64_t id)
 {
     size_t low = 0, high = f->job_count;
     while (low < high) {
@@ -34,7 +35,13 @@ struct job *farm_job(const struct farm *f, uint64_t id)
         else
             high = middle;
     }
-    return low < f->job_count && f->jobs[low]->rec.id == id ? f->jobs[low] : NULL;
+    return low;
+}
+
+struct job *farm_job(const struct farm *f, uint64_t id)
+{
+    size_t at = index_of(f, id);
+    return at < f->job_count && f->jobs[at]->rec.id == id ? f->jobs[at] : NULL;
 }
 
 /* --- Storing ------------------------------------------------------------ */
@@ -94,6 +101,11 @@ static enum err store_record(struct farm *f, struct job *job, store_done *done, 
     return e;
 }
 
+enum err jobs_when_stored(struct farm *f, struct job *job, store_done *done, void *ctx)
+{
+    return store_record(f, job, done, ctx); /* the store works in order */
+}
+
 void jobs_store_record(struct farm *f, struct job *job)
 {
     if (store_record(f, job, NULL, NULL) != ERR_OK)
@@ -146,6 +158,56 @@ static void remove_job(struct farm *f, size_t index)
     memmove(f->jobs + index, f->jobs + index + 1, (f->job_count - index) * sizeof *f->jobs);
 }
 
+/* Followers hear that it is gone. */
+static void drop_job(struct farm *f, size_t index)
+{
+    uint64_t id = f->jobs[index]->rec.id;
+    char text[64];
+    (void)snprintf(text, sizeof text, "{\"jobs\":[\"j%" PRIu64 "\"]}", id);
+    events_add(f->events, id, "gone", text);
+    remove_job(f, index);
+}
+
+/* A submission's row is on disk, or cannot be: then there was no job. */
+static void submission_stored(void *ctx, enum err e)
+{
+    struct storing *s = ctx;
+    struct farm *f = s->farm;
+    struct job *job = farm_job(f, s->job);
+    TL_ASSERT(job && job->unstored); /* nothing else takes such a job away */
+    job->unstored = false;
+    if (e == ERR_OK && !f->stopping) {
+        jobs_admit(f); /* so that the first report tells whether somebody will render it */
+        jobs_changed(f, job, true);
+    } else if (e != ERR_OK) {
+        log_warn("jobs", "submission not stored job=j%" PRIu64 " error=%s", s->job, err_name(e));
+        /* What was put on its way for it meanwhile must not come back. */
+        if (!f->stopping && store_delete_job(f->store, s->job) != ERR_OK)
+            log_warn("jobs", "rests may stay job=j%" PRIu64, s->job);
+        drop_job(f, index_of(f, s->job));
+    }
+    if (s->done)
+        s->done(s->ctx, e);
+    mem_free(s);
+}
+
+/* Puts the row of a new job on its way, and its key. */
+static enum err store_submission(struct farm *f, struct job *job, const struct job_request *r,
+                                 store_done *done, void *ctx)
+{
+    if (r->key)
+        TL_TRY(job_keys_note(f, r->key, &r->body, job->rec.id, job->rec.created_us));
+    struct storing *s = mem_alloc(sizeof *s);
+    if (!s)
+        return ERR_NOMEM;
+    *s = (struct storing){f, job->rec.id, done, ctx};
+    enum err e = store_put_new_job(f->store, &job->rec, r->key, &r->body, submission_stored, s);
+    if (e != ERR_OK)
+        mem_free(s);
+    job->unstored = e == ERR_OK;
+    return e;
+}
+
 enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *done, void *ctx,
                      struct job **out)
 {
@@ -183,13 +245,7 @@ enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *do
         return e;
     }
     f->job_next++;
-    if (r->key) {
-        e = job_keys_note(f, r->key, &r->body, job->rec.id, job->rec.created_us);
-        if (e == ERR_OK)
-            e = store_put_key(f->store, r->key, &r->body, job->rec.id, job->rec.created_us);
-    }
-    if (e == ERR_OK)
-        e = store_record(f, job, done, ctx);
+    e = store_submission(f, job, r, done, ctx);
     if (e != ERR_OK) {
         remove_job(f, f->job_count - 1);
         return e;
@@ -197,7 +253,6 @@ enum err jobs_submit(struct farm *f, const struct job_request *r, store_done *do
     log_info("jobs", "submitted job=j%" PRIu64 " size=%" PRIu32 "x%" PRIu32 " spp=%" PRIu64,
              job->rec.id, job->spec.width, job->spec.height, job->spec.spp);
     jobs_changed(f, job, true);
-    f->admit_due = true;
     *out = job;
     return ERR_OK;
 }
@@ -615,7 +670,8 @@ static enum err load_event(void *ctx, uint64_t job_id, int64_t at_us, const char
 static enum err load_key(void *ctx, const char *key, const digest *body, uint64_t job,
                          int64_t at_us)
 {
-    return job_keys_note(ctx, key, body, job, at_us);
+    int64_t now_us = farm_wall_us();
+    return job_keys_note(ctx, key, body, job, at_us < now_us ? at_us : now_us);
 }
 
 /* What an earlier life left of one job's film. */
@@ -675,18 +731,15 @@ static bool expire(struct farm *f, size_t index)
     int64_t age_us = farm_wall_us() - job->rec.finished_us;
     if (f->retention_s == 0 || !job_state_ended(job->rec.state) ||
         age_us < (int64_t)f->retention_s * 1000000 || job->film_users > 0 || job->in_store > 0 ||
-        job->finishing || job->checkpointing || job->loading)
+        job->finishing || job->checkpointing || job->loading || job->unstored)
         return false;
     /* The highest id ever given is kept, so that none is given twice. */
     uint64_t next = f->job_next;
     if (store_put_value(f->store, "job_next", &next, sizeof next) != ERR_OK ||
         store_delete_job(f->store, job->rec.id) != ERR_OK)
         return false;
-    char text[64];
-    (void)snprintf(text, sizeof text, "{\"jobs\":[\"j%" PRIu64 "\"]}", job->rec.id);
-    events_add(f->events, job->rec.id, "gone", text);
     log_info("jobs", "retention over, removed job=j%" PRIu64, job->rec.id);
-    remove_job(f, index);
+    drop_job(f, index);
     return true;
 }
 

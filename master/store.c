@@ -14,12 +14,11 @@
 #include "common/mem.h"
 
 enum { KEY_BYTES_MAX = 256 };
-#define KEY_LIFE_US (INT64_C(24) * 3600 * 1000000) /* of an idempotency key */
 
 /* For the log. */
 static const char *const op_names[] = {
-    "job",   "result",         "reset", "check", "event",      "value",
-    "blame", "forgiven blame", "past",  "key",   "checkpoint", "deletion",
+    "job",   "result",         "reset", "check",      "event",    "value",
+    "blame", "forgiven blame", "past",  "checkpoint", "deletion",
 };
 
 enum op_kind {
@@ -32,7 +31,6 @@ enum op_kind {
     OP_BLAME,
     OP_FORGET_BLAME,
     OP_PAST,
-    OP_KEY,
     OP_CHECKPOINT, /* from here on: an operation that is a batch of its own */
     OP_DELETE_JOB,
 };
@@ -51,12 +49,13 @@ struct op {
     struct segment_place place;   /* RESULT, filled in by the thread */
     struct checkpoint checkpoint; /* CHECKPOINT */
     const struct film *film;      /* CHECKPOINT, borrowed */
-    uint64_t job_id;              /* EVENT, KEY, BLAME, FORGET_BLAME, DELETE_JOB */
-    int64_t at_us;                /* EVENT, KEY */
-    digest body_digest;           /* KEY */
-    unsigned char *bytes;         /* RESULT body, EVENT and KEY text, VALUE: owned */
+    uint64_t job_id;              /* EVENT, BLAME, FORGET_BLAME, DELETE_JOB */
+    int64_t at_us;                /* EVENT */
+    bool has_key;                 /* JOB: it comes with an idempotency key */
+    digest body_digest;           /* JOB: of the submission that brought the key */
+    unsigned char *bytes;         /* RESULT body, EVENT text, VALUE: owned */
     size_t byte_count;            /* VALUE, RESULT */
-    char key[KEY_BYTES_MAX];      /* VALUE, KEY */
+    char key[KEY_BYTES_MAX];      /* VALUE, JOB */
 };
 
 struct op_list {
@@ -317,12 +316,22 @@ char *store_film_path(const struct store *s, uint64_t job)
 
 /* --- The thread --------------------------------------------------------- */
 
+/* A job's row, and the key that it was submitted with. */
+static enum err put_job(struct store *s, const struct op *op)
+{
+    TL_TRY(store_db_put_job(s->db, &op->job));
+    if (!op->has_key)
+        return ERR_OK;
+    TL_TRY(store_db_delete_keys(s->db, op->job.created_us - STORE_KEY_LIFE_US));
+    return store_db_put_key(s->db, op->key, &op->body_digest, op->job.id, op->job.created_us);
+}
+
 /* The rows of one operation, inside the batch's transaction. */
 static enum err op_apply(struct store *s, struct op *op)
 {
     switch (op->kind) {
     case OP_JOB:
-        return store_db_put_job(s->db, &op->job);
+        return put_job(s, op);
     case OP_RESULT:
         return store_db_put_unit(s->db, &op->unit, &op->place);
     case OP_RESET:
@@ -340,9 +349,6 @@ static enum err op_apply(struct store *s, struct op *op)
         return store_db_put_event(s->db, op->job_id, op->at_us, (const char *)op->bytes);
     case OP_VALUE:
         return store_db_put_value(s->db, op->key, op->bytes, op->byte_count);
-    case OP_KEY:
-        TL_TRY(store_db_delete_keys(s->db, op->at_us - KEY_LIFE_US));
-        return store_db_put_key(s->db, op->key, &op->body_digest, op->job_id, op->at_us);
     case OP_DELETE_JOB:
         return store_db_delete_job(s->db, op->job_id);
     case OP_CHECKPOINT:
@@ -496,17 +502,39 @@ static void submit(struct store *s, struct op *op)
     (void)pthread_mutex_unlock(&s->mutex);
 }
 
+/* True if the key was copied whole. */
+static bool copy_key(struct op *op, const char *key)
+{
+    size_t bytes = strlen(key);
+    if (bytes >= sizeof op->key)
+        return false;
+    memcpy(op->key, key, bytes + 1);
+    return true;
+}
+
 enum err store_put_job(struct store *s, const struct job_record *job, store_done *done, void *ctx)
+{
+    return store_put_new_job(s, job, NULL, NULL, done, ctx);
+}
+
+enum err store_put_new_job(struct store *s, const struct job_record *job, const char *key,
+                           const digest *body, store_done *done, void *ctx)
 {
     struct op *op = op_new(OP_JOB, done, ctx);
     if (!op)
         return ERR_NOMEM;
+    enum err e = !key || copy_key(op, key) ? ERR_OK : ERR_LIMIT;
     op->job = *job;
     op->job.spec_json = mem_strdup(job->spec_json);
-    if (!op->job.spec_json) {
+    if (e == ERR_OK && !op->job.spec_json)
+        e = ERR_NOMEM;
+    if (e != ERR_OK) {
         op_free(op);
-        return ERR_NOMEM;
+        return e;
     }
+    op->has_key = key != NULL;
+    if (key)
+        op->body_digest = *body;
     submit(s, op);
     return ERR_OK;
 }
@@ -619,16 +647,6 @@ enum err store_put_event(struct store *s, uint64_t job, int64_t at_us, const cha
     return ERR_OK;
 }
 
-/* True if the key was copied whole. */
-static bool copy_key(struct op *op, const char *key)
-{
-    size_t bytes = strlen(key);
-    if (bytes >= sizeof op->key)
-        return false;
-    memcpy(op->key, key, bytes + 1);
-    return true;
-}
-
 enum err store_put_value(struct store *s, const char *key, const void *value, size_t bytes)
 {
     struct op *op = op_new(OP_VALUE, NULL, NULL);
@@ -641,23 +659,6 @@ enum err store_put_value(struct store *s, const char *key, const void *value, si
     }
     memcpy(op->bytes, value, bytes);
     op->byte_count = bytes;
-    submit(s, op);
-    return ERR_OK;
-}
-
-enum err store_put_key(struct store *s, const char *key, const digest *body, uint64_t job,
-                       int64_t at_us)
-{
-    struct op *op = op_new(OP_KEY, NULL, NULL);
-    if (!op)
-        return ERR_NOMEM;
-    if (!copy_key(op, key)) {
-        op_free(op);
-        return ERR_LIMIT;
-    }
-    op->body_digest = *body;
-    op->job_id = job;
-    op->at_us = at_us;
     submit(s, op);
     return ERR_OK;
 }

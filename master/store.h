@@ -60,9 +60,16 @@ TL_NODISCARD bool store_has_journal(struct store *s, uint64_t job);
 /* Starts the thread. */
 TL_NODISCARD enum err store_start(struct store *s, void (*notify)(void *ctx), void *ctx);
 
+/* An idempotency key is forgotten so long after its submission. */
+#define STORE_KEY_LIFE_US (INT64_C(24) * 3600 * 1000000)
+
 /* Operations. `done` may be NULL. They fail at once (ERR_NOMEM) or report through `done`. */
 TL_NODISCARD enum err store_put_job(struct store *s, const struct job_record *job, store_done *done,
                                     void *ctx);
+/* A new job's row and its idempotency key (NULL: none; ERR_LIMIT: too long): both or neither. */
+TL_NODISCARD enum err store_put_new_job(struct store *s, const struct job_record *job,
+                                        const char *key, const digest *body, store_done *done,
+                                        void *ctx);
 /* Takes `body` (mem_alloc'ed, r->body_bytes) in any case. */
 TL_NODISCARD enum err store_put_result(struct store *s, const struct journal_result *r,
                                        unsigned char *body, store_done *done, void *ctx);
@@ -86,8 +93,6 @@ TL_NODISCARD enum err store_put_event(struct store *s, uint64_t job, int64_t at_
                                       const char *text);
 TL_NODISCARD enum err store_put_value(struct store *s, const char *key, const void *value,
                                       size_t bytes);
-TL_NODISCARD enum err store_put_key(struct store *s, const char *key, const digest *body,
-                                    uint64_t job, int64_t at_us);
 
 /* Runs the callbacks of what is done. */
 void store_poll(struct store *s);

@@ -414,9 +414,8 @@ static void test_rows(void **state)
     row.stats.relmse = 0.25;
     row.totals.units = 5;
     assert_int_equal(store_open(folder, &other), ERR_STATE);
-    assert_int_equal(store_put_job(s, &row, note, &o), ERR_OK);
+    assert_int_equal(store_put_new_job(s, &row, "a key", &body, note, &o), ERR_OK);
     assert_int_equal(store_put_value(s, "n", &value, sizeof value), ERR_OK);
-    assert_int_equal(store_put_key(s, "a key", &body, JOB, 5), ERR_OK);
     for (int i = 0; i < STORE_EVENTS_KEPT + 50; i++) {
         char text[32];
         (void)snprintf(text, sizeof text, "line %d", i);
