@@ -88,6 +88,7 @@ struct job {
     uint32_t in_store;            /* results handed over and not yet answered */
     uint64_t journal_bytes;       /* since the last checkpoint */
     bool checkpointing, finishing, loading, estimating, record_dirty;
+    struct finish *finish; /* its picture is made, and its end on its way to the disk; else NULL */
     int64_t estimated_ms, estimate_took_ms; /* of the error so far: when last, and how long */
     uint64_t estimated_count;               /* cell-blocks that were in it */
     bool final_stored;                      /* ended and its film is checkpointed */
@@ -343,6 +344,9 @@ void job_error_put(struct job_stats *s, const struct film_error *e);
 
 /* Replays checkpoint and journal; before the store's thread starts. */
 TL_NODISCARD enum err job_load_film(struct farm *f, struct job *job);
+
+/* Makes the job's row that of a finished one if its end is on its way to the disk. */
+void job_finish_put(const struct job *job, struct job_record *row);
 
 /* After a unit was added, or the scheduler was done: checkpoint or finish when due. */
 void job_film_changed(struct farm *f, struct job *job);

@@ -303,6 +303,7 @@ struct finish {
     uint64_t pixels;
     enum err result;
     digest image;
+    int64_t finished_us;
     struct film_error error;
     uint64_t spp_min, spp_max;
     double spp_mean;
@@ -325,19 +326,68 @@ static void finish_run(uv_work_t *request)
     w->result = ERR_OK;
 }
 
-static void fill_stats(struct job *job, const struct finish *w)
+/* The row of the job once it is finished so. */
+static void fill_row(const struct job *job, const struct finish *w, struct job_record *row)
 {
-    struct job_stats *s = &job->rec.stats;
+    struct job_stats *s = &row->stats;
+    row->state = JOB_STATE_DONE;
+    row->finished_us = w->finished_us;
+    row->image = w->image;
+    row->has_image = true;
+    row->note[0] = '\0';
     s->spp_min = w->spp_min;
     s->spp_mean = w->spp_mean;
     s->spp_max = w->spp_max;
     s->stopped_by = (double)(job->plan ? job->plan->end : JOB_END_SPP);
     job_error_put(s, &w->error);
     int64_t begin = job->rec.started_us, ready = job->ready_us ? job->ready_us : begin;
-    int64_t last = job->last_result_us ? job->last_result_us : job->rec.finished_us;
-    s->total_s = (double)(job->rec.finished_us - begin) / 1e6;
+    int64_t last = job->last_result_us ? job->last_result_us : w->finished_us;
+    s->total_s = (double)(w->finished_us - begin) / 1e6;
     s->render_s = (double)(last - ready) / 1e6;
-    s->gather_s = (double)(job->rec.finished_us - last) / 1e6;
+    s->gather_s = (double)(w->finished_us - last) / 1e6;
+}
+
+void job_finish_put(const struct job *job, struct job_record *row)
+{
+    if (job->finish)
+        fill_row(job, job->finish, row);
+}
+
+/* Nothing was taken out of the film since the picture was made of it: a liar may have been found.
+ */
+static bool still_complete(const struct job *job)
+{
+    return !job_state_ended(job->rec.state) && job->in_store == 0 && film_complete(job->film);
+}
+
+/* The end is on disk: it is told. */
+static void finish_stored(void *ctx, enum err e)
+{
+    struct finish *w = ctx;
+    struct farm *f = w->farm;
+    struct job *job = farm_job(f, w->job);
+    TL_ASSERT(job && job->finish == w); /* `finishing` kept it */
+    job->finish = NULL;
+    job->finishing = false;
+    if (f->stopping) {
+        mem_free(w);
+        return;
+    }
+    if (e != ERR_OK) {
+        jobs_disk_trouble(f, job, e);
+    } else if (still_complete(job)) {
+        fill_row(job, w, &job->rec);
+        job->done_share = 1;
+        provenance_release(&job->provenance);
+        log_info("jobs", "done job=j%" PRIu64 " seconds=%.3f", job->rec.id, job->rec.stats.total_s);
+        jobs_changed(f, job, true);
+        job_checkpoint(f, job);
+        job_films_evict(f);
+    } else {
+        jobs_store_record(f, job); /* over the row that says done */
+    }
+    f->admit_due = true;
+    mem_free(w);
 }
 
 static void finish_after(uv_work_t *request, int status)
@@ -347,25 +397,19 @@ static void finish_after(uv_work_t *request, int status)
     struct job *job = farm_job(f, w->job);
     TL_ASSERT(job && job->finishing);
     job_film_let_go(f, job);
-    job->finishing = false;
     enum err e = status == 0 ? w->result : ERR_CANCELLED;
-    if (e == ERR_OK && !job_state_ended(job->rec.state)) {
-        job->rec.finished_us = farm_wall_us();
-        job->rec.image = w->image;
-        job->rec.has_image = true;
-        job->rec.state = JOB_STATE_DONE;
-        job->rec.note[0] = '\0';
-        job->done_share = 1;
-        provenance_release(&job->provenance);
-        fill_stats(job, w);
-        jobs_store_record(f, job);
-        log_info("jobs", "done job=j%" PRIu64 " seconds=%.3f", job->rec.id, job->rec.stats.total_s);
-        job_checkpoint(f, job);
-        job_films_evict(f);
-        f->admit_due = true;
-    } else if (e == ERR_NOMEM) {
-        jobs_fail(f, job, "out of memory while making the picture");
+    if (e == ERR_OK && still_complete(job) && !f->stopping) {
+        w->finished_us = farm_wall_us();
+        job->finish = w;
+        e = jobs_when_stored(f, job, finish_stored, w);
+        if (e == ERR_OK)
+            return;
+        job->finish = NULL;
     }
+    job->finishing = false;
+    f->admit_due = true;
+    if (e == ERR_NOMEM)
+        jobs_fail(f, job, "out of memory while making the picture");
     mem_free(w);
 }
 

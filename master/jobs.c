@@ -92,6 +92,7 @@ static enum err store_record(struct farm *f, struct job *job, store_done *done, 
     *s = (struct storing){f, job->rec.id, done, ctx};
     struct job_record record = job->rec;
     add_counts(f, job, &record.stats);
+    job_finish_put(job, &record);
     job->counts_stored = count_sum(&record.stats);
     enum err e = store_put_job(f->store, &record, record_stored, s);
     if (e != ERR_OK)

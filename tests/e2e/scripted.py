@@ -160,7 +160,9 @@ def render_all(farm, peer, job, value=0.5):
     """Answers leases honestly until the job is done."""
     number = int(job[1:])
     peer.send("JobReady", job=number, load_seconds=0.1, build_seconds=0.2, received_bytes=10)
+    deadline = time.monotonic() + 30 * SLOW
     while farm.job(job)["state"] != "done":
+        assert time.monotonic() < deadline, farm.job(job)
         peer.drain_messages(0.05)
         for lease in peer.leases:
             fields, body = honest(lease, value)
