@@ -6,7 +6,6 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "common/file_io.h"
 #include "common/mem.h"
 #include "master/durable.h"
 
@@ -161,19 +160,6 @@ static enum err write_contents(const char *path, const struct checkpoint *c,
     return e;
 }
 
-static enum err sync_folder(const char *path)
-{
-    char *folder = file_folder(path);
-    if (!folder)
-        return ERR_NOMEM;
-    int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    enum err e = fd < 0 ? err_from_errno(errno) : durable_sync(fd);
-    if (fd >= 0)
-        (void)close(fd);
-    mem_free(folder);
-    return e;
-}
-
 enum err checkpoint_write(const char *path, const struct checkpoint *c, const struct film *film)
 {
     char *aside = mem_sprintf("%s.new", path);
@@ -183,7 +169,7 @@ enum err checkpoint_write(const char *path, const struct checkpoint *c, const st
     if (e == ERR_OK && rename(aside, path) != 0)
         e = err_from_errno(errno);
     if (e == ERR_OK)
-        e = sync_folder(path);
+        e = durable_sync_name(path);
     else
         (void)unlink(aside);
     mem_free(aside);

@@ -4,7 +4,6 @@
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #define HASH_NONFATAL_OOM 1
@@ -114,11 +113,6 @@ static enum err list_folder(struct chunk_store *s, const char *path)
     return e;
 }
 
-static enum err make_folder(const char *path)
-{
-    return mkdir(path, 0700) == 0 || errno == EEXIST ? ERR_OK : err_from_errno(errno);
-}
-
 enum err chunks_open(uv_loop_t *loop, const char *dir, struct chunk_store **out)
 {
     struct chunk_store *s = mem_calloc(1, sizeof *s);
@@ -126,7 +120,7 @@ enum err chunks_open(uv_loop_t *loop, const char *dir, struct chunk_store **out)
         return ERR_NOMEM;
     s->loop = loop;
     s->dir = mem_sprintf("%s/chunks", dir);
-    enum err e = s->dir ? make_folder(s->dir) : ERR_NOMEM;
+    enum err e = s->dir ? durable_make_folder(s->dir) : ERR_NOMEM;
     for (unsigned i = 0; e == ERR_OK && i < 256; i++) {
         char *folder = mem_sprintf("%s/%02x", s->dir, i);
         e = folder ? list_folder(s, folder) : ERR_NOMEM;
@@ -238,9 +232,11 @@ static enum err write_aside(struct work *w)
         e = err_from_errno(errno);
     if (e == ERR_OK && rename(w->aside, w->path) != 0)
         e = err_from_errno(errno);
-    if (e != ERR_OK)
+    if (e != ERR_OK) {
         (void)unlink(w->aside);
-    return e;
+        return e;
+    }
+    return durable_sync_name(w->path);
 }
 
 static void put_run(uv_work_t *request)
@@ -250,7 +246,7 @@ static void put_run(uv_work_t *request)
         chunk_check(w->frame.data, w->frame.bytes, &w->name, CHUNKS_RAW_BYTES_MAX, &w->raw_bytes);
     char *folder = file_folder(w->path);
     if (w->result == ERR_OK)
-        w->result = folder ? make_folder(folder) : ERR_NOMEM;
+        w->result = folder ? durable_make_folder(folder) : ERR_NOMEM;
     if (w->result == ERR_OK)
         w->result = write_aside(w);
     mem_free(folder);

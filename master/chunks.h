@@ -3,9 +3,9 @@
  *   DIR/chunks/aa/HEX    u64 size unpacked, little-endian, then the zstd frame as it came
  *
  * What is there is known in memory; files are read and written on libuv's pool, written
- * aside, synced and renamed. What was read lately stays in memory, and requests for the same chunk
- * share one read. Loop thread only; callbacks come from it.
- * Tests: tests/e2e/test_master_http.py.
+ * aside, synced and renamed, and the folder synced. What was read lately stays in memory, and
+ * requests for the same chunk share one read. Loop thread only; callbacks come from it. Tests:
+ * tests/unit/test_chunks.c, tests/e2e/test_master_http.py.
  */
 #ifndef MASTER_CHUNKS_H
 #define MASTER_CHUNKS_H

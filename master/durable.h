@@ -19,4 +19,11 @@ bool durable_wanted(void);
 TL_NODISCARD enum err durable_sync(int fd);
 TL_NODISCARD enum err durable_data_sync(int fd);
 
+/* What was made, renamed or removed in a folder. ERR_NOT_FOUND, ERR_IO. */
+TL_NODISCARD enum err durable_sync_folder(const char *folder);
+/* The same for the folder in which `path` lies. ERR_NOMEM too. */
+TL_NODISCARD enum err durable_sync_name(const char *path);
+/* Makes a folder, if it is not there, whose name is on disk. */
+TL_NODISCARD enum err durable_make_folder(const char *path);
+
 #endif

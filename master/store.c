@@ -12,6 +12,7 @@
 
 #include "common/log.h"
 #include "common/mem.h"
+#include "master/durable.h"
 
 enum { KEY_BYTES_MAX = 256 };
 
@@ -102,12 +103,16 @@ static void op_free(struct op *op)
 
 /* --- Opening ------------------------------------------------------------ */
 
-static enum err make_folder(const char *dir, const char *name)
+/* The master's own folder: what is above it need not be readable. */
+static enum err make_folder(const char *dir)
 {
-    char *path = name ? mem_sprintf("%s/%s", dir, name) : mem_strdup(dir);
-    if (!path)
-        return ERR_NOMEM;
-    enum err e = mkdir(path, 0700) == 0 || errno == EEXIST ? ERR_OK : err_from_errno(errno);
+    return mkdir(dir, 0700) == 0 || errno == EEXIST ? ERR_OK : err_from_errno(errno);
+}
+
+static enum err make_jobs_folder(const char *dir)
+{
+    char *path = mem_sprintf("%s/jobs", dir);
+    enum err e = path ? durable_make_folder(path) : ERR_NOMEM;
     mem_free(path);
     return e;
 }
@@ -138,11 +143,11 @@ enum err store_open(const char *dir, struct store **out)
     (void)pthread_cond_init(&s->wake, NULL);
     s->dir = mem_strdup(dir);
     char *path = mem_sprintf("%s/store.db", dir);
-    enum err e = s->dir && path ? make_folder(dir, NULL) : ERR_NOMEM;
+    enum err e = s->dir && path ? make_folder(dir) : ERR_NOMEM;
     if (e == ERR_OK)
         e = lock_folder(s);
     if (e == ERR_OK)
-        e = make_folder(dir, "jobs");
+        e = make_jobs_folder(dir);
     if (e == ERR_OK)
         e = segments_init(&s->segments, dir);
     if (e == ERR_OK)

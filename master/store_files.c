@@ -49,27 +49,11 @@ char *segments_path(const char *dir, uint64_t job, uint64_t number)
     return mem_sprintf("%s/jobs/%" PRIu64 "/seg-%" PRIu64, dir, job, number);
 }
 
-static enum err sync_path(const char *path)
-{
-    int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    if (fd < 0)
-        return err_from_errno(errno);
-    enum err e = durable_sync(fd);
-    (void)close(fd);
-    return e;
-}
-
 enum err segments_make_folder(const struct segments *s, uint64_t job)
 {
     char *path = segments_job_path(s->dir, job);
-    char *parent = mem_sprintf("%s/jobs", s->dir);
-    enum err e = path && parent ? ERR_OK : ERR_NOMEM;
-    if (e == ERR_OK && mkdir(path, 0700) == 0)
-        e = sync_path(parent);
-    else if (e == ERR_OK && errno != EEXIST)
-        e = err_from_errno(errno);
+    enum err e = path ? durable_make_folder(path) : ERR_NOMEM;
     mem_free(path);
-    mem_free(parent);
     return e;
 }
 
@@ -137,19 +121,17 @@ static enum err open_segment(struct segments *s, uint64_t job, struct segment **
     TL_TRY(free_place(s, &g));
     uint64_t number = each_segment(s, job, 0, false) + 1;
     char *path = segments_path(s->dir, job, number);
-    char *folder = segments_job_path(s->dir, job);
-    enum err e = path && folder ? ERR_OK : ERR_NOMEM;
+    enum err e = path ? ERR_OK : ERR_NOMEM;
     int fd = -1;
     if (e == ERR_OK) {
         fd = open(path, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
-        e = fd < 0 ? err_from_errno(errno) : sync_path(folder);
+        e = fd < 0 ? err_from_errno(errno) : durable_sync_name(path);
     }
     if (e == ERR_OK)
         *g = (struct segment){.job = job, .number = number, .fd = fd};
     else if (fd >= 0)
         (void)close(fd);
     mem_free(path);
-    mem_free(folder);
     *out = g;
     return e;
 }
