@@ -1,5 +1,7 @@
 #include "common/utf8.h"
 
+#include <string.h>
+
 static int is_tail(unsigned char c)
 {
     return (c & 0xC0) == 0x80;
@@ -24,6 +26,21 @@ size_t utf8_length(const char *at, const char *end)
         return is_tail(p[1]) && is_tail(p[2]) && is_tail(p[3]) && !overlong && !beyond ? 4 : 0;
     }
     return 0;
+}
+
+void utf8_copy(char *out, size_t bytes, const char *text)
+{
+    const char *end = text + strlen(text);
+    size_t used = 0;
+    while (text < end) {
+        size_t length = utf8_length(text, end), taken = length ? length : 1;
+        if (used + taken >= bytes)
+            break;
+        memcpy(out + used, length ? text : "?", taken);
+        used += taken;
+        text += taken;
+    }
+    out[used] = '\0';
 }
 
 size_t utf8_encode(uint32_t code, char out[4])

@@ -1,4 +1,4 @@
-/* common/utf8.h: is it UTF-8 (RFC 3629)? Pure; any thread. */
+/* common/utf8.h: is it UTF-8 (RFC 3629)? Pure; any thread. Tests: test_message, test_json. */
 #ifndef COMMON_UTF8_H
 #define COMMON_UTF8_H
 
@@ -8,6 +8,10 @@
 /* Bytes (1..4) of the well-formed character at `at`; 0 when there is none: truncated, overlong,
  * a surrogate, or over U+10FFFF. */
 size_t utf8_length(const char *at, const char *end);
+
+/* Copies a text into `bytes` of room, its end included, cut at the last whole character that fits;
+ * bytes that are no UTF-8 become '?'. */
+void utf8_copy(char *out, size_t bytes, const char *text);
 
 /* Writes a code point that is no surrogate, <= 0x10FFFF; returns how many bytes (1..4). */
 size_t utf8_encode(uint32_t code, char out[4]);

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/mem.h"
+#include "common/utf8.h"
 
 #define PRIORITY_MAX 1000000.0
 
@@ -59,7 +60,7 @@ enum err http_body_job(struct json_get *g, struct http_job_body *out)
     (void)json_get_text(g, g->root, "name", &name);
     (void)json_get_number(g, g->root, "priority", -PRIORITY_MAX, PRIORITY_MAX, &priority);
     out->priority = (int32_t)priority;
-    (void)snprintf(out->name, sizeof out->name, "%s", name);
+    utf8_copy(out->name, sizeof out->name, name);
     const struct json *p = json_get_required(g, g->root, "package");
     if (json_value_text(g, p, false, &package) && !digest_from_hex(package, &out->package))
         json_get_problem(g, DIAG_ERROR, p, "bad-digest", NULL,

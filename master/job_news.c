@@ -6,6 +6,7 @@
 
 #include "common/json_put.h"
 #include "common/log.h"
+#include "common/utf8.h"
 #include "master/shots.h"
 
 enum { NEWS_MS = 500 /* between two events of the same job that are not urgent */ };
@@ -137,11 +138,12 @@ void jobs_changed(struct farm *f, struct job *job, bool urgent)
 
 void jobs_log(struct farm *f, struct job *job, const char *format, ...)
 {
-    char text[sizeof job->events[0].text];
+    char whole[512], text[sizeof job->events[0].text];
     va_list args;
     va_start(args, format);
-    (void)vsnprintf(text, sizeof text, format, args);
+    (void)vsnprintf(whole, sizeof whole, format, args);
     va_end(args);
+    utf8_copy(text, sizeof text, whole);
     int64_t at_us = farm_wall_us();
     struct job_event *event = &job->events[job->event_count++ % FARM_EVENTS_SHOWN];
     event->at_us = at_us;

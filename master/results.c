@@ -37,16 +37,22 @@ static void result_free(struct result *r)
     mem_free(r);
 }
 
+/* Whatever became of the result, its worker may forget it. */
+static void acknowledge(struct farm *f, uint64_t worker, const struct journal_result *record)
+{
+    struct message m = {.type = FRAME_RESULT_ACK};
+    m.result_ack.job = record->job;
+    m.result_ack.epoch = record->epoch;
+    workers_send(f, worker, &m);
+}
+
 /* Acknowledges and frees the result once nothing of it is under way. */
 static void settle(struct result *r)
 {
     if (!r->answered || r->runs_open > 0)
         return;
-    struct message m = {.type = FRAME_RESULT_ACK};
-    m.result_ack.job = r->record.job;
-    m.result_ack.epoch = r->record.epoch;
     if (!r->failed)
-        workers_send(r->farm, r->worker, &m);
+        acknowledge(r->farm, r->worker, &r->record);
     result_free(r);
 }
 
@@ -99,7 +105,6 @@ static void decode_run(uv_work_t *request)
 static void refuse(struct farm *f, uint64_t worker, const struct journal_result *record,
                    const char *what)
 {
-    struct worker *w = farm_worker(f, worker);
     struct job *job = farm_job(f, record->job);
     f->counters.results_refused++;
     log_warn("results", "refused worker=w%" PRIu64 " job=j%" PRIu64 " what=\"%s\"", worker,
@@ -111,11 +116,7 @@ static void refuse(struct farm *f, uint64_t worker, const struct journal_result 
     struct sched_event event = {
         .type = SCHED_UNIT_FAILED, .worker = worker, .job = record->job, .epoch = record->epoch};
     farm_feed(f, &event);
-    struct message m = {.type = FRAME_RESULT_ACK};
-    m.result_ack.job = record->job;
-    m.result_ack.epoch = record->epoch;
-    if (w)
-        workers_send(f, worker, &m);
+    acknowledge(f, worker, record);
 }
 
 /* Counters that no honest worker can give. */
@@ -228,12 +229,24 @@ static struct journal_result record_of(const struct worker *w, const tilery_Resu
     };
 }
 
+/* True for a job that has ended and of which nothing is kept that a result could be held against: a
+ * worker that was away did not know. */
+static bool is_gone(const struct farm *f, const struct job *job, uint64_t id)
+{
+    return job ? job_state_ended(job->rec.state) && !job->grid_ready : id > 0 && id < f->job_next;
+}
+
 void results_take(struct farm *f, struct worker *w, const tilery_Result *m, unsigned char *body,
                   size_t body_bytes)
 {
     struct journal_result record = record_of(w, m, body_bytes);
     struct job *job = farm_job(f, record.job);
     f->counters.result_bytes += body_bytes;
+    if (is_gone(f, job, record.job)) {
+        mem_free(body);
+        acknowledge(f, w->id, &record);
+        return;
+    }
     const char *what = NULL;
     if (!job || !job->grid_ready)
         what = "no such job is being rendered";

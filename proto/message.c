@@ -5,6 +5,8 @@
 #include <pb_encode.h>
 #include <string.h>
 
+#include "common/utf8.h"
+
 /* nanopb's description and the longest encoding of each type. */
 static const pb_msgdesc_t *fields_of(int type)
 {
@@ -35,32 +37,14 @@ _Static_assert(sizeof((struct message *)0)->hello.held /
 
 /* --- UTF-8 -------------------------------------------------------------------- */
 
-/* Length of the UTF-8 character at p (RFC 3629: shortest form, no surrogates, up to U+10FFFF), or
- * 0. Reads no further than the first byte that does not fit, so a NUL ends it. */
-static size_t utf8_length(const unsigned char *p)
-{
-    if (p[0] < 0x80)
-        return 1;
-    size_t length = p[0] >= 0xf0 ? 4 : p[0] >= 0xe0 ? 3 : 2;
-    if (p[0] < 0xc2 || p[0] > 0xf4)
-        return 0;
-    for (size_t i = 1; i < length; i++)
-        if ((p[i] & 0xc0) != 0x80)
-            return 0;
-    if ((p[0] == 0xe0 && p[1] < 0xa0) || (p[0] == 0xed && p[1] > 0x9f) ||
-        (p[0] == 0xf0 && p[1] < 0x90) || (p[0] == 0xf4 && p[1] > 0x8f))
-        return 0;
-    return length;
-}
-
 static bool utf8_valid(const char *text)
 {
-    const unsigned char *p = (const unsigned char *)text;
-    while (*p) {
-        size_t length = utf8_length(p);
+    const char *end = text + strlen(text);
+    while (text < end) {
+        size_t length = utf8_length(text, end);
         if (length == 0)
             return false;
-        p += length;
+        text += length;
     }
     return true;
 }
@@ -68,22 +52,7 @@ static bool utf8_valid(const char *text)
 void message_text(char *field, size_t field_bytes, const char *text)
 {
     TL_ASSERT(field_bytes > 0);
-    const unsigned char *p = (const unsigned char *)text;
-    size_t used = 0;
-    while (*p) {
-        size_t length = utf8_length(p);
-        if (used + (length ? length : 1) >= field_bytes)
-            break;
-        if (length == 0) {
-            field[used++] = '?';
-            p++;
-            continue;
-        }
-        memcpy(field + used, p, length);
-        used += length;
-        p += length;
-    }
-    field[used] = '\0';
+    utf8_copy(field, field_bytes, text);
 }
 
 /* The strings of each type: `count` in a row, each of `bytes`. */

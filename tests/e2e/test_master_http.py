@@ -145,6 +145,11 @@ def test_submit_and_report(call, job):
     assert again["note"] in ("no worker", "")
 
 
+def test_long_name_is_cut_between_characters(call, job):
+    report = call("POST", "/api/v1/jobs", {**job, "name": "n" + "\u00e9" * 150})[1]
+    assert report["name"] == "n" + "\u00e9" * 99
+
+
 def test_missing_package(call, job):
     name = "ab" * 32
     problem = check_problem(call("POST", "/api/v1/jobs", {**job, "package": name}), 422,

@@ -91,6 +91,37 @@ def test_done_is_on_disk(tmp_path):
             assert after[name] == before[name], name
 
 
+def test_late_result_of_a_job_that_is_gone(farm, job):
+    """Its worker has done nothing wrong: it is told to forget the result, and no alarm is raised. A
+    job that never was is another matter."""
+    peer = Scripted(farm).welcome()
+    peer.send("JobReady", job=1)
+    late = peer.lease()
+    assert farm.request("PATCH", f"/api/v1/jobs/{job}", {"state": "cancelled"})[0] == 200
+    peer.close()
+    farm.master.end()
+    farm.start_master()
+    peer = Scripted(farm).welcome()
+    fields, body = honest(late)
+    peer.send("Result", body, **fields)
+    assert peer.expect("ResultAck")["epoch"] == late["epoch"]
+    assert metric(farm, "results_refused_total") == 0
+    assert not [e for e in farm.job(job)["events"] if "refused" in e["text"]]
+    peer.send("Result", body, **{**fields, "job": 77})
+    peer.expect("ResultAck")
+    assert metric(farm, "results_refused_total") == 1
+
+
+def test_long_line_is_cut_between_characters(farm, job):
+    peer = Scripted(farm).welcome()
+    peer.send("JobReady", job=1)
+    lease = peer.lease()
+    peer.send("UnitFailed", job=1, epoch=lease["epoch"], error="ERR_IO", text="\u00e9" * 128)
+    line = wait_until(lambda: [e["text"] for e in farm.job(job)["events"] if "failed" in e["text"]],
+                      "the line")[0]
+    assert line.endswith("\u00e9") and "\ufffd" not in line and len(line.encode()) >= 198
+
+
 # --- A full disk --------------------------------------------------------------------------------
 
 
