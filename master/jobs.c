@@ -422,15 +422,21 @@ void jobs_admit(struct farm *f)
 {
     f->admit_due = false;
     struct job *least = NULL;
-    bool looked = false; /* for the one that gives way */
+    bool looked = false;    /* for the one that gives way */
+    uint64_t shot_full = 0; /* the last found whose frames must wait: shots can be long */
     for (size_t i = 0; i < f->job_count; i++) {
         struct job *job = f->jobs[i];
         bool full = f->sched_jobs >= JOBS_IN_SCHED_MAX;
         if (full && !looked)
             least = least_needed(f);
         looked |= full;
-        if (!wants_in(job) || (full && !gives_way(least, job)) || !shots_may_enter(f, job))
+        if (!wants_in(job) || (full && !gives_way(least, job)) ||
+            (job->rec.shot != 0 && job->rec.shot == shot_full))
             continue;
+        if (!shots_may_enter(f, job)) {
+            shot_full = job->rec.shot;
+            continue;
+        }
         if (verify_reset_liars(f, job))
             continue; /* goes on when that is stored */
         if (job->film && film_complete(job->film) && job->provenance.check_count == 0 &&
