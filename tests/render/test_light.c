@@ -14,9 +14,11 @@
 #include "common/mem.h"
 #include "tests/render/render_kit.h"
 #include "tests/render/stats.h"
+#include "worker/render/lanes.h"
 #include "worker/render/render_scene.h"
 #include "worker/render/sampler.h"
 #include "worker/render/sky_batch.h"
+#include "worker/render/sphere_parts.h"
 #include "worker/render/warp.h"
 #include "worker/scene/scene_build.h"
 
@@ -312,6 +314,38 @@ static void batches_have_the_bits_of_one(void **state)
     }
 }
 
+/* Nor do the draws of one vertex know of each other: lamps of all kinds, spheres among them. */
+static void candidates_have_the_bits_of_one(void **state)
+{
+    (void)state;
+    struct render_scene *rs = lamps(true);
+    uint64_t random = 13;
+    for (int k = 0; k < 2000; k++) {
+        double choose[LIGHT_TREE_DRAWS_MAX], u[LIGHT_TREE_DRAWS_MAX], v[LIGHT_TREE_DRAWS_MAX];
+        uint32_t count = 1 + (uint32_t)(random_value(&random) * LIGHT_TREE_DRAWS_MAX);
+        struct light_sample many[LIGHT_TREE_DRAWS_MAX], one;
+        vec3 n = any_normal(&random), p = v3(0, random_value(&random), 0);
+        for (uint32_t i = 0; i < count; i++) {
+            choose[i] = (i + random_value(&random)) / count;
+            u[i] = random_value(&random);
+            v[i] = random_value(&random);
+        }
+        uint32_t there = light_sample_many(&rs->lights, p, n, count, choose, u, v, many);
+        for (uint32_t i = 0; i < count; i++) {
+            bool is = light_sample(&rs->lights, p, n, choose[i], u[i], v[i], &one);
+            assert_int_equal(there >> i & 1, is);
+            if (!is)
+                continue;
+            assert_memory_equal(&many[i].wi, &one.wi, sizeof one.wi);
+            assert_memory_equal(&many[i].radiance, &one.radiance, sizeof one.radiance);
+            assert_memory_equal(&many[i].pdf, &one.pdf, sizeof one.pdf);
+            if (!one.distant)
+                assert_memory_equal(&many[i].target, &one.target, sizeof one.target);
+        }
+    }
+    render_scene_free(rs);
+}
+
 static void assert_same_batch(const struct sky_batch *a, const struct sky_batch *b)
 {
     assert_memory_equal(a->w, b->w, sizeof a->w);
@@ -341,18 +375,61 @@ static void batches_are_the_same_in_all_vectors(void **state)
         struct sky_batch plain = b;
         sky_draw_sse2(sky, &plain);
         sky_look_sse2(sky, &plain);
-        for (int set = 0; set < 2; set++) {
-            bool has = set ? __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl")
-                           : __builtin_cpu_supports("avx2");
-            if (!has)
-                continue;
+        for (int level = LANES_AVX2; level <= (int)lanes_level(); level++) {
             wide = b;
-            (set ? sky_draw_avx512 : sky_draw_avx2)(sky, &wide);
-            (set ? sky_look_avx512 : sky_look_avx2)(sky, &wide);
+            (level == LANES_AVX2 ? sky_draw_avx2 : sky_draw_avx512)(sky, &wide);
+            (level == LANES_AVX2 ? sky_look_avx2 : sky_look_avx512)(sky, &wide);
             assert_same_batch(&wide, &plain);
         }
     }
     render_scene_free(rs);
+}
+
+/* So have those that draw on spheres, which do what is done for one. */
+static void spheres_are_the_same_in_all_vectors(void **state)
+{
+    (void)state;
+    static sphere_loop *const loops[LANES_LEVELS] = {sphere_loop_sse2, sphere_loop_avx2,
+                                                     sphere_loop_avx512};
+    uint64_t random = 9;
+    for (int k = 0; k < 4000; k++) {
+        struct sphere_batch asked = {.u = {0}};
+        double numbers[SPHERE_MANY][19];
+        vec3 p = v3(random_value(&random), random_value(&random), random_value(&random));
+        for (int i = 0; i < SPHERE_MANY; i++) {
+            for (int j = 0; j < 19; j++)
+                numbers[i][j] = random_value(&random);
+            asked.u[i] = numbers[i][0];
+            asked.v[i] = numbers[i][1];
+            asked.cap[i] = numbers[i][2];
+            asked.distance2[i] = numbers[i][3];
+            asked.distance[i] = numbers[i][4];
+            for (int axis = 0; axis < 3; axis++) {
+                asked.s[axis][i] = numbers[i][5 + axis];
+                asked.t[axis][i] = numbers[i][8 + axis];
+                asked.n[axis][i] = numbers[i][11 + axis];
+                asked.center[axis][i] = numbers[i][14 + axis];
+            }
+            asked.radius[i] = numbers[i][17];
+            asked.error[i] = numbers[i][18] * 1e-12;
+        }
+        for (int level = LANES_SSE2; level <= (int)lanes_level(); level++) {
+            struct sphere_batch b = asked;
+            loops[level](p, &b);
+            for (int i = 0; i < SPHERE_MANY; i++) {
+                const double *x = numbers[i];
+                struct sphere_view view = {
+                    x[2], x[3], x[4], {v3_of(x + 5), v3_of(x + 8), v3_of(x + 11)}};
+                vec3 wi, target;
+                double pdf;
+                sphere_draw(&view, p, v3_of(x + 14), x[17], x[18] * 1e-12, x[0], x[1], &wi, &target,
+                            &pdf);
+                assert_true(b.wi[0][i] == wi.x && b.wi[1][i] == wi.y && b.wi[2][i] == wi.z);
+                assert_true(b.target[0][i] == target.x && b.target[1][i] == target.y);
+                assert_true(b.target[2][i] == target.z && b.pdf[i] == pdf);
+            }
+        }
+    }
 }
 
 /* Mean weight 1, and weighted samples have the filter's moments. */
@@ -405,7 +482,9 @@ int main(void)
         cmocka_unit_test(sky_is_the_same_both_ways),
         cmocka_unit_test(sky_is_drawn_for_the_normal),
         cmocka_unit_test(batches_have_the_bits_of_one),
+        cmocka_unit_test(candidates_have_the_bits_of_one),
         cmocka_unit_test(batches_are_the_same_in_all_vectors),
+        cmocka_unit_test(spheres_are_the_same_in_all_vectors),
         cmocka_unit_test(filters_are_drawn_as_they_are),
         cmocka_unit_test(polynomials_are_sines),
     };

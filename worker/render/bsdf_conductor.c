@@ -3,6 +3,7 @@
 #include "worker/render/bsdf_lobes.h"
 
 #include "worker/render/conductor_parts.h"
+#include "worker/render/lanes.h"
 
 static struct microfacet facets(const struct bsdf *b)
 {
@@ -40,16 +41,11 @@ rgb conductor_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf)
     return rgb_mul(rgb_of(f), b->color);
 }
 
-static conductor_loop *loop_of_cpu(void)
-{
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl"))
-        return conductor_loop_avx512;
-    return __builtin_cpu_supports("avx2") ? conductor_loop_avx2 : conductor_loop_sse2;
-}
-
 void conductor_eval_many(const struct bsdf *b, vec3 wo, bool flip, const vec3 wi[], rgb f[],
                          double pdf[])
 {
+    static conductor_loop *const loops[LANES_LEVELS] = {conductor_loop_sse2, conductor_loop_avx2,
+                                                        conductor_loop_avx512};
     double side = flip ? -1 : 1;
     struct conductor_batch batch;
     memset(pdf, 0, BSDF_MANY * sizeof *pdf);
@@ -62,7 +58,7 @@ void conductor_eval_many(const struct bsdf *b, vec3 wo, bool flip, const vec3 wi
         batch.y[i] = wi[i].y * side;
         batch.z[i] = wi[i].z * side;
     }
-    loop_of_cpu()(&c, b->material->distribution, &batch);
+    loops[lanes_level()](&c, b->material->distribution, &batch);
     for (int i = 0; i < BSDF_MANY; i++) {
         pdf[i] = batch.pdf[i];
         f[i] = rgb_mul((rgb){batch.f[0][i], batch.f[1][i], batch.f[2][i]}, b->color);

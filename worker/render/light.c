@@ -1,6 +1,8 @@
 #include "worker/render/light.h"
 
+#include "worker/render/lanes.h"
 #include "worker/render/sky_batch.h"
+#include "worker/render/sphere_parts.h"
 #include "worker/render/warp.h"
 
 _Static_assert((int)LIGHT_POINTS_MAX == (int)SKY_BATCH, "points fill a batch of the sky");
@@ -46,42 +48,24 @@ static double sphere_cap(const struct light *l, double distance2)
     return sin2 < 1 ? sin2 / (1 + sqrt(1 - sin2)) : 0;
 }
 
-/* A sphere as p sees it; it serves as many samples as are drawn on it. */
-struct sphere_view {
-    uint32_t light; /* SCENE_NONE: of none yet */
-    double cap, distance2, distance;
-    frame towards; /* n is the direction of its centre */
-};
-
-static void sphere_view_of(const struct light *l, vec3 p, struct sphere_view *view)
+/* False if p does not see the sphere from outside. */
+static bool sphere_view_of(const struct light *l, vec3 p, struct sphere_view *view)
 {
     vec3 d = v3_sub(l->v0, p);
     view->distance2 = v3_dot(d, d);
     view->cap = sphere_cap(l, view->distance2);
     view->distance = sqrt(view->distance2);
     view->towards = frame_of(v3_scale(d, 1 / view->distance));
+    return view->cap > 0;
 }
 
 /* A direction in the cone of the sphere, uniform in solid angle. */
-static bool sample_sphere(const struct light *l, const struct sphere_view *view, vec3 p, double u,
-                          double v, struct light_sample *s)
+static bool sample_sphere(const struct light *l, vec3 p, double u, double v, struct light_sample *s)
 {
-    double cap = view->cap;
-    if (!(cap > 0))
+    struct sphere_view view;
+    if (!sphere_view_of(l, p, &view))
         return false;
-    double x, y;
-    warp_disk(u, v, &x, &y);
-    double below = (x * x + y * y) * cap; /* 1 - cos of the drawn angle */
-    double wide = sqrt(cap * (2 - below));
-    double sin2 = below * (2 - below);
-    /* Of length 1: x^2 + y^2 times wide^2 is sin2. */
-    s->wi = frame_to_world(&view->towards, v3(x * wide, y * wide, 1 - below));
-    /* Where it meets the sphere, brought back onto it. */
-    double half2 = l->radius * l->radius - view->distance2 * sin2;
-    double t = view->distance * (1 - below) - sqrt(half2 > 0 ? half2 : 0);
-    vec3 n = v3_unit(v3_sub(v3_mad(p, s->wi, t), l->v0));
-    s->target = v3_mad(l->v0, n, l->radius + l->error);
-    s->pdf = 1 / (2 * VEC_PI * cap);
+    sphere_draw(&view, p, l->v0, l->radius, l->error, u, v, &s->wi, &s->target, &s->pdf);
     s->radiance = l->radiance;
     return true;
 }
@@ -254,9 +238,8 @@ static void choose_lights(const struct light_table *t, vec3 p, vec3 n, uint32_t 
         probabilities[k] *= t->tree.probability;
 }
 
-/* A sample on a light; `view` is of the last sphere seen from p. */
 static bool sample_light(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double u,
-                         double v, struct sphere_view *view, struct light_sample *s)
+                         double v, struct light_sample *s)
 {
     const struct light *l = &t->lights[index];
     s->distant = s->delta = false;
@@ -265,10 +248,7 @@ static bool sample_light(const struct light_table *t, uint32_t index, vec3 p, ve
     case LIGHT_QUAD:
         return sample_area(l, p, u, v, s);
     case LIGHT_SPHERE:
-        if (view->light != index)
-            sphere_view_of(l, p, view);
-        view->light = index;
-        return sample_sphere(l, view, p, u, v, s);
+        return sample_sphere(l, p, u, v, s);
     case LIGHT_POINT:
     case LIGHT_SPOT:
         return sample_point(l, p, s);
@@ -283,22 +263,90 @@ static bool sample_light(const struct light_table *t, uint32_t index, vec3 p, ve
     return false;
 }
 
+static void put_lane(double lanes[][SPHERE_MANY], uint32_t k, vec3 a)
+{
+    lanes[0][k] = a.x;
+    lanes[1][k] = a.y;
+    lanes[2][k] = a.z;
+}
+
+static vec3 lane_of(double lanes[][SPHERE_MANY], uint32_t k)
+{
+    return v3(lanes[0][k], lanes[1][k], lanes[2][k]);
+}
+
+static void put_sphere(const struct light *l, const struct sphere_view *view, double u, double v,
+                       uint32_t k, struct sphere_batch *b)
+{
+    b->u[k] = u;
+    b->v[k] = v;
+    b->cap[k] = view->cap;
+    b->distance2[k] = view->distance2;
+    b->distance[k] = view->distance;
+    put_lane(b->s, k, view->towards.s);
+    put_lane(b->t, k, view->towards.t);
+    put_lane(b->n, k, view->towards.n);
+    put_lane(b->center, k, l->v0);
+    b->radius[k] = l->radius;
+    b->error[k] = l->error;
+}
+
+/* Samples on the spheres among lights[]; returns which are there. */
+static uint32_t sample_spheres(const struct light_table *t, vec3 p, uint32_t spheres,
+                               const uint32_t lights[], const double u[], const double v[],
+                               struct light_sample s[])
+{
+    static sphere_loop *const loops[LANES_LEVELS] = {sphere_loop_sse2, sphere_loop_avx2,
+                                                     sphere_loop_avx512};
+    struct sphere_batch b;
+    struct sphere_view view;
+    uint32_t there = 0, seen = SCENE_NONE; /* which the view is of */
+    bool outside = false;
+    memset(&b, 0, sizeof b);
+    for (uint32_t rest = spheres; rest; rest &= rest - 1) {
+        uint32_t k = (uint32_t)__builtin_ctz(rest);
+        const struct light *l = &t->lights[lights[k]];
+        if (lights[k] != seen)
+            outside = sphere_view_of(l, p, &view);
+        seen = lights[k];
+        if (!outside)
+            continue;
+        put_sphere(l, &view, u[k], v[k], k, &b);
+        there |= 1u << k;
+    }
+    loops[lanes_level()](p, &b);
+    for (uint32_t rest = there; rest; rest &= rest - 1) {
+        uint32_t k = (uint32_t)__builtin_ctz(rest);
+        s[k] = (struct light_sample){.wi = lane_of(b.wi, k),
+                                     .target = lane_of(b.target, k),
+                                     .radiance = t->lights[lights[k]].radiance,
+                                     .pdf = b.pdf[k]};
+    }
+    return there;
+}
+
 uint32_t light_sample_many(const struct light_table *t, vec3 p, vec3 n, uint32_t count,
                            const double choose[], const double u[], const double v[],
                            struct light_sample s[])
 {
-    uint32_t lights[LIGHT_TREE_DRAWS_MAX], there = 0;
+    uint32_t lights[LIGHT_TREE_DRAWS_MAX], there = 0, spheres = 0;
     double probabilities[LIGHT_TREE_DRAWS_MAX];
-    struct sphere_view view = {.light = SCENE_NONE};
     if (t->count == 0)
         return 0;
     choose_lights(t, p, n, count, choose, lights, probabilities);
     for (uint32_t k = 0; k < count; k++) {
-        if (lights[k] == SCENE_NONE || !sample_light(t, lights[k], p, n, u[k], v[k], &view, &s[k]))
+        if (lights[k] == SCENE_NONE)
             continue;
-        s[k].pdf *= probabilities[k];
-        there |= 1u << k;
+        if (t->lights[lights[k]].type == LIGHT_SPHERE)
+            spheres |= 1u << k;
+        else if (sample_light(t, lights[k], p, n, u[k], v[k], &s[k]))
+            there |= 1u << k;
     }
+    if (spheres)
+        there |= sample_spheres(t, p, spheres, lights, u, v, s);
+    for (uint32_t k = 0; k < count; k++)
+        if (there >> k & 1)
+            s[k].pdf *= probabilities[k];
     return there;
 }
 
@@ -307,11 +355,10 @@ bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, do
 {
     uint32_t light;
     double probability;
-    struct sphere_view view = {.light = SCENE_NONE};
     if (t->count == 0)
         return false;
     choose_lights(t, p, n, 1, &choose, &light, &probability);
-    if (light == SCENE_NONE || !sample_light(t, light, p, n, u, v, &view, s))
+    if (light == SCENE_NONE || !sample_light(t, light, p, n, u, v, s))
         return false;
     s->pdf *= probability;
     return true;
@@ -354,13 +401,11 @@ uint32_t light_sample_points(const struct light_table *t, uint32_t count,
     double probabilities[LIGHT_POINTS_MAX];
     for (uint32_t k = 0; k < count && t->count > 0; k++) {
         const struct light_point *at = &points[k];
-        struct sphere_view view = {.light = SCENE_NONE};
         uint32_t light;
         choose_lights(t, at->p, at->n, 1, &at->choose, &light, &probabilities[k]);
         if (light == t->environment_light && light != SCENE_NONE && e->texture)
             sky |= 1u << k;
-        else if (light != SCENE_NONE &&
-                 sample_light(t, light, at->p, at->n, at->u, at->v, &view, &s[k]))
+        else if (light != SCENE_NONE && sample_light(t, light, at->p, at->n, at->u, at->v, &s[k]))
             there |= 1u << k;
     }
     if (__builtin_popcount(sky) >= SKY_BATCH_LEAST) {

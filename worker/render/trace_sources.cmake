@@ -20,6 +20,9 @@ set(trace_sources
   ${trace_dir}/sky_avx2.c
   ${trace_dir}/sky_avx512.c
   ${trace_dir}/sky_sse2.c
+  ${trace_dir}/sphere_avx2.c
+  ${trace_dir}/sphere_avx512.c
+  ${trace_dir}/sphere_sse2.c
   ${trace_dir}/trace.c
   ${trace_dir}/trace_avx2.c
   ${trace_dir}/trace_avx2_compact.c
@@ -53,9 +56,12 @@ set_source_files_properties(${trace_dir}/sampler_sets_avx512.c PROPERTIES COMPIL
   "${trace_fast};-mavx2;-mavx512f;-mavx512vl")
 # Both sides of a choice may be worked out where only one is wanted, or there are no vectors.
 set(conductor_flags "${trace_fast};-fno-trapping-math")
-set_source_files_properties(${trace_dir}/conductor_sse2.c ${trace_dir}/sky_sse2.c PROPERTIES COMPILE_OPTIONS
+set_source_files_properties(${trace_dir}/conductor_sse2.c ${trace_dir}/sky_sse2.c
+  ${trace_dir}/sphere_sse2.c PROPERTIES COMPILE_OPTIONS
   "${conductor_flags}")
-set_source_files_properties(${trace_dir}/conductor_avx2.c ${trace_dir}/sky_avx2.c PROPERTIES COMPILE_OPTIONS
+set_source_files_properties(${trace_dir}/conductor_avx2.c ${trace_dir}/sky_avx2.c
+  ${trace_dir}/sphere_avx2.c PROPERTIES COMPILE_OPTIONS
   "${conductor_flags};-mavx2")
-set_source_files_properties(${trace_dir}/conductor_avx512.c ${trace_dir}/sky_avx512.c PROPERTIES COMPILE_OPTIONS
+set_source_files_properties(${trace_dir}/conductor_avx512.c ${trace_dir}/sky_avx512.c
+  ${trace_dir}/sphere_avx512.c PROPERTIES COMPILE_OPTIONS
   "${conductor_flags};-mavx2;-mavx512f;-mavx512vl")
