@@ -292,14 +292,14 @@ enum err mtl_read(const char *text, size_t bytes, const char *file, struct mtl_l
     static const char mark[] = "\xEF\xBB\xBF";
     if (bytes >= 3 && memcmp(text, mark, 3) == 0)
         text += 3;
-    for (const char *line = text; line < all_end && !p.out_of_memory; line = p.end + 1) {
-        const char *newline = memchr(line, '\n', (size_t)(all_end - line));
-        p.at = line;
-        p.end = newline ? newline : all_end;
+    for (const char *line = text; line < all_end && !p.out_of_memory;) {
+        p.at = p.end = line;
+        while (p.end < all_end && *p.end != '\n' && *p.end != '\r')
+            p.end++;
         p.line++;
         read_line(&p);
-        if (!newline)
-            break;
+        bool pair = all_end - p.end >= 2 && p.end[0] == '\r' && p.end[1] == '\n';
+        line = p.end + (pair ? 2 : 1);
     }
     if (p.out_of_memory) {
         mtl_release(&library);

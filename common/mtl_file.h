@@ -5,7 +5,7 @@
  * and clamped to what they can mean; a line that makes no sense is a warning with file:line
  * and leaves the value as it was. Words we do not know are skipped. Map options (-s -o
  * -clamp -bm; others are skipped with their arguments) are read; file names may hold
- * blanks. Pure apart from memory; one thread.
+ * blanks. Lines end in "\n", "\r\n" or "\r". Pure apart from memory; one thread.
  */
 #ifndef COMMON_MTL_FILE_H
 #define COMMON_MTL_FILE_H

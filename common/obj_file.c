@@ -480,6 +480,9 @@ static enum err read_model(const char *text, size_t bytes, const char *file, boo
                        .strict = strict,
                        .material = OBJ_NONE,
                        .group = OBJ_NONE};
+    static const char mark[] = "\xEF\xBB\xBF";
+    if (bytes >= 3 && memcmp(text, mark, 3) == 0)
+        p.at += 3;
     size_t errors_before = problems->error_count;
     while (p.at < p.end && !p.out_of_memory && p.triangle_count <= SCENE_TRIANGLES_MAX)
         parse_line(&p);

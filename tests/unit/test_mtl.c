@@ -87,6 +87,19 @@ static void reads_physical_words(void **state)
     mtl_release(&l);
 }
 
+/* A carriage return alone was taken for a blank, and the file for one material of a long name. */
+static void lines_may_end_as_on_old_machines(void **state)
+{
+    (void)state;
+    size_t warnings;
+    struct mtl_library l =
+        read_text("newmtl a\rKd 1 0 0\rnewmtl b\r\nKd 0 1 0\n\rbad 1\r", &warnings);
+    assert_int_equal(l.count, 2);
+    assert_string_equal(l.materials[0].name, "a");
+    assert_true(l.materials[0].kd[0] == 1 && l.materials[1].kd[1] == 1 && warnings == 0);
+    mtl_release(&l);
+}
+
 static void warns_of_nonsense_and_keeps_values(void **state)
 {
     (void)state;
@@ -145,6 +158,7 @@ int main(void)
         cmocka_unit_test(believes_d_over_tr),
         cmocka_unit_test(reads_maps_and_their_options),
         cmocka_unit_test(reads_physical_words),
+        cmocka_unit_test(lines_may_end_as_on_old_machines),
         cmocka_unit_test(warns_of_nonsense_and_keeps_values),
         cmocka_unit_test(takes_any_cut),
         cmocka_unit_test(survives_lack_of_memory),
