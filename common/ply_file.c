@@ -124,10 +124,25 @@ static enum role role_of(const char *name)
     static const struct {
         const char *name;
         enum role role;
-    } roles[] = {{"x", X},     {"y", Y},         {"z", Z},         {"nx", NX},
-                 {"ny", NY},   {"nz", NZ},       {"u", U},         {"v", V},
-                 {"s", U},     {"t", V},         {"texture_u", U}, {"texture_v", V},
-                 {"red", RED}, {"green", GREEN}, {"blue", BLUE},   {"alpha", ALPHA}};
+    } roles[] = {{"x", X},
+                 {"y", Y},
+                 {"z", Z},
+                 {"nx", NX},
+                 {"ny", NY},
+                 {"nz", NZ},
+                 {"u", U},
+                 {"v", V},
+                 {"s", U},
+                 {"t", V},
+                 {"texture_u", U},
+                 {"texture_v", V},
+                 {"red", RED},
+                 {"green", GREEN},
+                 {"blue", BLUE},
+                 {"alpha", ALPHA},
+                 {"diffuse_red", RED},
+                 {"diffuse_green", GREEN},
+                 {"diffuse_blue", BLUE}};
     for (size_t i = 0; i < sizeof roles / sizeof *roles; i++)
         if (strcmp(name, roles[i].name) == 0)
             return roles[i].role;

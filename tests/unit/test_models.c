@@ -84,6 +84,18 @@ static void obj_forms_are_read(void **state)
     unload(&l);
 }
 
+/* A file that a text editor marked as UTF-8: its first line is a line like others. Here it was a
+ * vertex, which was lost. */
+static void obj_may_begin_with_a_mark(void **state)
+{
+    (void)state;
+    struct loaded l;
+    load_obj(&l, "\xEF\xBB\xBFv 4 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    assert_int_equal(l.e, ERR_OK);
+    assert_true(l.mesh.vertex_count == 3 && l.mesh.positions[0] == 4);
+    unload(&l);
+}
+
 static void near_color(const float *c, double r, double g, double b)
 {
     assert_true(fabs((double)c[0] - r) < 1e-6 && fabs((double)c[1] - g) < 1e-6 &&
@@ -173,6 +185,23 @@ static void ply_colors_are_told_by_type(void **state)
         near_color(l.mesh.colors + 3, cases[i].second[0], cases[i].second[1], cases[i].second[2]);
         unload(&l);
     }
+}
+
+/* The names that older programs give them. */
+static void ply_diffuse_colors_are_colors(void **state)
+{
+    (void)state;
+    static const char text[] =
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nproperty uchar diffuse_red\nproperty uchar diffuse_green\n"
+        "property uchar diffuse_blue\nelement face 1\nproperty list uchar int vertex_indices\n"
+        "end_header\n0 0 0 0 0 0\n1 0 0 188 255 0\n0 1 0 9 9 9\n3 0 1 2\n";
+    struct loaded l;
+    load_ply(&l, text, sizeof text - 1);
+    assert_int_equal(l.e, ERR_OK);
+    assert_non_null(l.mesh.colors);
+    near_color(l.mesh.colors + 3, B188_DECODED, 1, 0);
+    unload(&l);
 }
 
 static void obj_keeps_double_coordinates(void **state)
@@ -552,9 +581,11 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(obj_forms_are_read),
+        cmocka_unit_test(obj_may_begin_with_a_mark),
         cmocka_unit_test(obj_colors_are_decoded),
         cmocka_unit_test(ply_colors_are_told_by_type),
         cmocka_unit_test(ply_alphas_are_read),
+        cmocka_unit_test(ply_diffuse_colors_are_colors),
         cmocka_unit_test(obj_keeps_double_coordinates),
         cmocka_unit_test(obj_problems_have_their_line),
         cmocka_unit_test(obj_survives_small_faults_with_a_warning),
