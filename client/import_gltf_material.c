@@ -299,17 +299,17 @@ static void read_alpha(struct material_reader *r)
         r->out->alpha = 1;
 }
 
-/* Shown as it is, whatever lights it: it emits its colour and reflects nothing. */
+/* Shown as it is, whatever lights it: it emits its colour, reflects nothing and lets nothing
+ * through. */
 static void make_unlit(struct scene_material *m)
 {
     memcpy(m->emission, m->color, sizeof m->emission);
     m->emission_texture = m->texture;
-    m->normal_texture = m->metallic_roughness_texture = SCENE_NONE;
+    m->normal_texture = m->metallic_roughness_texture = m->transmission_texture = SCENE_NONE;
     for (int i = 0; i < 3; i++)
-        m->color[i] = 0;
-    m->metallic = 0;
+        m->color[i] = m->sheen_color[i] = 0;
+    m->metallic = m->specular = m->clearcoat = m->transmission = 0;
     m->roughness = 1;
-    m->specular = 0;
 }
 
 static enum err read_material(struct material_reader *r, double emission[3])

@@ -180,6 +180,25 @@ def test_extended_material(tmp_path):
     assert scene["objects"][0]["light"]["radiance"] == [8, 4, 0]
 
 
+def test_unlit_has_no_other_layer(tmp_path):
+    """Coat, sheen and transmission of the fallback showed on surfaces that only emit."""
+    model = triangle_gltf(
+        extensionsUsed=["KHR_materials_unlit", "KHR_materials_clearcoat", "KHR_materials_sheen",
+                        "KHR_materials_transmission"],
+        materials=[{
+            "name": "m", "pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.25, 1, 1]},
+            "extensions": {"KHR_materials_unlit": {},
+                           "KHR_materials_clearcoat": {"clearcoatFactor": 1},
+                           "KHR_materials_sheen": {"sheenColorFactor": [1, 1, 1]},
+                           "KHR_materials_transmission": {"transmissionFactor": 1}}}])
+    model["meshes"][0]["primitives"][0]["material"] = 0
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", model))
+    m = scene["materials"]["m"]
+    assert m["emission"] == [0.5, 0.25, 1] and m["color"] == [0, 0, 0]
+    assert not any(m.get(k) for k in ("clearcoat", "transmission"))
+    assert m.get("sheen_color", [0, 0, 0]) == [0, 0, 0]
+
+
 def mesh_vertices(path):
     """(properties, rows of numbers) of the vertices of a written mesh."""
     head, body = path.read_bytes().split(b"end_header\n", 1)
