@@ -213,6 +213,29 @@ static enum err take_relief(struct import *im, const char *folder, const struct 
     return ERR_OK;
 }
 
+/* Green and blue of one picture are our roughness and metalness. A grey map_Pr gives roughness
+ * where nothing is metal; one picture for both is taken to be packed so. Others are left out. */
+static enum err take_roughness(struct import *im, const char *folder, const struct mtl_material *m,
+                               struct scene_material *out)
+{
+    const struct mtl_map *rough = &m->maps[MTL_MAP_PR], *metal = &m->maps[MTL_MAP_PM];
+    bool packed = rough->path && metal->path && strcmp(rough->path, metal->path) == 0;
+    bool is_metal = m->has_metallic && m->metallic > 0;
+    bool taken = packed || (rough->path && !metal->path && !is_metal);
+    if (taken)
+        TL_TRY(map_texture(im, folder, rough, IMAGE_DATA, &out->metallic_roughness_texture));
+    bool left_out = m->maps[MTL_MAP_KS].path || (!taken && (rough->path || metal->path));
+    if (left_out && import_once(im, IMPORT_ONCE_DETAIL_MAP))
+        import_warn(im, "left-out", NULL,
+                    "textures of highlights (map_Ks), of metalness, and of roughness on metals are "
+                    "left out; their numbers are used");
+    if (out->metallic_roughness_texture == SCENE_NONE)
+        return ERR_OK;
+    out->roughness = m->has_roughness && m->roughness > 0 ? m->roughness : 1;
+    out->metallic = !packed ? 0 : is_metal ? m->metallic : 1;
+    return ERR_OK;
+}
+
 /* --- Materials ----------------------------------------------------------- */
 
 static double largest(const double c[3])
@@ -243,10 +266,12 @@ static void set_highlight(const struct mtl_material *m, struct scene_material *o
 {
     double alpha = sqrt(2 / (m->ns + 2));
     double ks = largest(m->ks);
-    out->roughness = m->has_roughness ? m->roughness : sqrt(alpha);
-    out->metallic = m->has_metallic ? m->metallic : 0;
     if (m->ni > 1)
         out->eta = m->ni;
+    if (out->metallic_roughness_texture != SCENE_NONE) /* take_roughness has set them */
+        return;
+    out->roughness = m->has_roughness ? m->roughness : sqrt(alpha);
+    out->metallic = m->has_metallic ? m->metallic : 0;
     if (m->has_roughness || m->has_metallic)
         return;
     if (largest(m->kd) < 0.02 && ks > 0) {
@@ -264,7 +289,7 @@ static bool needs_principled(const struct mtl_material *m, const struct scene_ma
 {
     return m->has_roughness || m->has_metallic || largest(m->ks) > 0 || out->alpha_used ||
            m->sheen > 0 || m->clearcoat > 0 || out->emission_texture != SCENE_NONE ||
-           out->normal_texture != SCENE_NONE;
+           out->normal_texture != SCENE_NONE || out->metallic_roughness_texture != SCENE_NONE;
 }
 
 static void set_principled(const struct mtl_material *m, struct scene_material *out)
@@ -316,6 +341,7 @@ static enum err make_material(struct import *im, const char *folder, const struc
     }
     TL_TRY(map_texture(im, folder, &m->maps[MTL_MAP_KD], IMAGE_COLOR, &out->texture));
     TL_TRY(map_texture(im, folder, &m->maps[MTL_MAP_KE], IMAGE_COLOR, &out->emission_texture));
+    TL_TRY(take_roughness(im, folder, m, out));
     /* Exporters write Kd 0 or leave it out beside a picture that is meant as it is. */
     static const double white[3] = {1, 1, 1};
     bool plain = out->texture != SCENE_NONE && (!m->has_kd || largest(m->kd) <= 0);

@@ -199,6 +199,32 @@ def test_unlit_has_no_other_layer(tmp_path):
     assert m.get("sheen_color", [0, 0, 0]) == [0, 0, 0]
 
 
+ROUGH_OBJ = ("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\n"
+             "f 1/1 2/2 3/3\n")
+
+
+@pytest.mark.parametrize("words, roughness, metallic, warned", [
+    ("Pr 0.5\nmap_Pr r.png\n", 0.5, 0, False),
+    ("map_Pr r.png\n", 1, 0, False),
+    ("map_Pr r.png\nmap_Pm r.png\n", 1, 1, False),
+    ("Pr 0.5\nPm 1\nmap_Pr r.png\n", None, 1, True),
+    ("Pr 0.5\nmap_Pm r.png\n", None, 0, True),
+    ("Ks 0.5 0.5 0.5\nmap_Ks r.png\n", None, 0, True)])
+def test_pictures_of_roughness_in_mtl(tmp_path, words, roughness, metallic, warned):
+    """They were left out, and nobody was told."""
+    write_png(tmp_path / "r.png", [[0, 255], [128, 64]])
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 0.5 0.5 0.5\n" + words)
+    (tmp_path / "m.obj").write_text(ROUGH_OBJ)
+    scene, said = imported(tmp_path, "m.obj")
+    m = scene["materials"]["a"]
+    assert ("metallic_roughness_texture" in m) == (roughness is not None)
+    assert m.get("metallic", 0) == metallic
+    if roughness is not None:
+        assert m.get("roughness", 1) == roughness
+        assert scene["textures"][m["metallic_roughness_texture"]]["encoding"] == "linear"
+    assert ("[left-out]" in said) == warned
+
+
 def mesh_vertices(path):
     """(properties, rows of numbers) of the vertices of a written mesh."""
     head, body = path.read_bytes().split(b"end_header\n", 1)
