@@ -4,6 +4,7 @@
  * one for the job. Ctrl-C: the children are asked to end, nothing is left at OUT, exit 130.
  */
 #include <errno.h>
+#include <fcntl.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdlib.h>
@@ -154,7 +155,7 @@ static void *load_thread(void *ctx)
 static int start_loader(struct render *r)
 {
     sigset_t all, before;
-    if (pipe(r->loaded_fds) != 0) {
+    if (pipe2(r->loaded_fds, O_CLOEXEC) != 0) {
         cli_error("machine", NULL, "no pipe: %s", strerror(errno));
         return EXIT_MACHINE;
     }
