@@ -188,6 +188,32 @@ static void alpha_lets_light_through(void **state)
 }
 
 /* A wall lit by a panel whose emission is a texture, found by light sampling and by chance. */
+/* A rough dielectric whose index is that of its surroundings becomes smooth glass, whose only lobe
+ * is a direction. It was still taken for rough: NEE sampled lights there in vain and gave up the
+ * last edge, on which only light that is hit counts. A lamp behind it was dark. */
+static void what_bends_nothing_hides_nothing(void **state)
+{
+    (void)state;
+    static const enum job_profile profiles[] = {JOB_PROFILE_RW, JOB_PROFILE_NEE, JOB_PROFILE_MIS};
+    static const double corners[12] = {-9, -9, -5, 9, -9, -5, 9, 9, -5, -9, 9, -5};
+    struct scene s;
+    struct scene_material *m;
+    scene_init(&s);
+    uint32_t clear = kit_material(&s, SCENE_MATERIAL_ROUGH_DIELECTRIC, &m);
+    m->eta = 1;
+    (void)kit_sphere(&s, 0, 0, -2, 1.5, clear);
+    kit_emit(&s, kit_quad(&s, corners, kit_diffuse(&s, 0, 0, 0)), 1, 1, 1);
+    for (size_t i = 0; i < sizeof profiles / sizeof *profiles; i++) {
+        struct job_spec spec = kit_spec(8, 4);
+        spec.profile = profiles[i];
+        spec.max_depth = 3;
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_true(fabs(kit_picture_mean(&p) - 1) < 1e-6);
+        kit_picture_free(&p);
+    }
+    scene_release(&s);
+}
+
 static void textured_emission_is_found_both_ways(void **state)
 {
     (void)state;
@@ -457,6 +483,7 @@ int main(void)
         cmocka_unit_test(two_triangles_make_one_light),
         cmocka_unit_test(instances_look_like_copies),
         cmocka_unit_test(alpha_lets_light_through),
+        cmocka_unit_test(what_bends_nothing_hides_nothing),
         cmocka_unit_test(textured_emission_is_found_both_ways),
         cmocka_unit_test(nothing_at_all_is_black),
         cmocka_unit_test(an_extent_beyond_double_is_refused),

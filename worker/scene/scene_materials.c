@@ -98,9 +98,8 @@ static void make_material(const struct scene *scene, const struct scene_material
     make_principled(from, out);
     if (from->type == SCENE_MATERIAL_ROUGH_DIELECTRIC && fabs(from->eta - 1) < ETA_STEP_MIN)
         out->type = SCENE_MATERIAL_GLASS;
-    out->is_delta = from->type == SCENE_MATERIAL_MIRROR ||
-                    from->type == SCENE_MATERIAL_REFRACTION || from->type == SCENE_MATERIAL_GLASS ||
-                    from->type == SCENE_MATERIAL_BLACK;
+    out->is_delta = out->type == SCENE_MATERIAL_MIRROR || out->type == SCENE_MATERIAL_REFRACTION ||
+                    out->type == SCENE_MATERIAL_GLASS || out->type == SCENE_MATERIAL_BLACK;
     out->transmits = out->type == SCENE_MATERIAL_ROUGH_DIELECTRIC ||
                      (out->type == SCENE_MATERIAL_PRINCIPLED && out->transmission > 0);
     out->one_lobe = out->type != SCENE_MATERIAL_GLASS &&
