@@ -115,6 +115,7 @@ struct worker {
     uint64_t id;       /* "w3" is 3 */
     uint64_t instance; /* random per process */
     struct conn *conn; /* NULL: lost */
+    uint32_t conns;    /* that it has had, this one included */
     char name[65], host[65], cpu[33], build[65];
     struct tags tags;
     uint64_t tag_bits; /* of the farm's tag_table, as the scheduler knows them */

@@ -24,6 +24,7 @@ struct chunk_wait {
     struct chunk_wait *next;
     struct farm *farm;
     uint64_t worker;
+    uint32_t conns; /* of the worker when it asked: on another connection it has not */
     digest name;
 };
 
@@ -190,8 +191,9 @@ static void chunk_ready(void *ctx, enum err e, const digest *name, struct blob *
     struct chunk_wait *wait = ctx;
     struct farm *f = wait->farm;
     struct worker *w = farm_worker(f, wait->worker);
+    bool asked = w && w->conns == wait->conns;
     mem_free(wait);
-    if (!w || f->stopping)
+    if (!asked || f->stopping)
         return;
     struct message m = {0};
     if (e == ERR_OK) {
@@ -223,7 +225,7 @@ static void ask_chunk(struct farm *f, struct worker *w, const tilery_ChunkReques
         conn_close(w->conn, ERR_NOMEM);
         return;
     }
-    *wait = (struct chunk_wait){.farm = f, .worker = w->id};
+    *wait = (struct chunk_wait){.farm = f, .worker = w->id, .conns = w->conns};
     memcpy(wait->name.bytes, m->sha256, DIGEST_BYTES);
     struct chunk_wait **end = &w->chunk_waits;
     while (*end)
@@ -488,6 +490,7 @@ static void hello(struct farm *f, struct conn *c, const tilery_Hello *h)
     keep_determinism(f, h);
     fill_worker(w, h);
     w->conn = c;
+    w->conns++;
     w->seen_ms = farm_now_ms(f);
     conn_set_ctx(c, w);
     conn_accept(c);
