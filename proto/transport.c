@@ -398,7 +398,9 @@ static void take_sealed(struct conn *c, const unsigned char *data, size_t bytes)
         take_input(c, plain, plain_bytes);
     if (c->state == CONN_CLOSING)
         return;
-    if (e == ERR_CLOSED)
+    if (e == ERR_CLOSED && c->pending_bytes > 0)
+        c->ended = true;
+    else if (e == ERR_CLOSED)
         input_ended(c, UV_EOF);
     else if (e != ERR_OK || sent != ERR_OK)
         conn_close(c, e != ERR_OK ? e : sent);
@@ -446,7 +448,10 @@ static void resume(struct conn *c)
     }
     mem_free(c->pending);
     c->pending = NULL;
-    start_reading(c);
+    if (c->ended)
+        input_ended(c, UV_EOF);
+    else
+        start_reading(c);
 }
 
 static void on_idle(uv_idle_t *idle)

@@ -54,6 +54,7 @@ struct conn {
     size_t early_bytes;
     uint64_t heard_ms;
     bool waiting; /* in the transport's queue for the next turn */
+    bool ended;   /* the peer sends no more, but what is pending comes first */
 
     /* Sending. */
     size_t queue_bytes;

@@ -4,6 +4,8 @@ Authorities and certificates are made here with openssl (of ca-certificates).
 """
 import http.client
 import pathlib
+import re
+import signal
 import socket
 import ssl
 import subprocess
@@ -11,7 +13,9 @@ import time
 
 import pytest
 
-from farm import SEED_SCENE, SLOW, Daemon, Farm, clean_env, report_of, tilery
+from farm import SEED_SCENE, SLOW, Daemon, Farm, clean_env, report_of, tilery, wait_until
+from scripted import Scripted
+from wire_peer import frame
 
 OPTIONS = ("--spp", 4, "--size", "64x64")
 
@@ -135,6 +139,30 @@ def test_rude_and_plain_peers_do_no_harm(tmp_path, pki):
         assert done.returncode == 0, done.stderr
         assert plain.process.poll() is None and "cannot register" in plain.log()
         silent.close()
+
+
+def test_last_words_of_many_are_heard(tmp_path, pki):
+    """More frames than one turn takes, and a goodbye behind them, arrive with the end of TLS in one
+    piece: the goodbye counts."""
+    farm_pki, _ = pki
+    with TlsFarm(tmp_path, master_arguments=master_files(farm_pki)) as farm:
+        context = ssl.create_default_context(cafile=farm_pki.path)
+        peer = Scripted(farm, hello=False)
+        peer.sock = context.wrap_socket(peer.sock, server_hostname="127.0.0.1")
+        peer.send("Hello", **peer.values)
+        peer.welcome()
+        farm.master.signal(signal.SIGSTOP)
+        words = b"".join(frame("Heartbeat", sequence=i, sent_us=1) for i in range(150))
+        peer.sock.sendall(words + frame("Goodbye", reason="done"))
+        peer.sock.setblocking(False)
+        with pytest.raises(ssl.SSLWantReadError):
+            peer.sock.unwrap()  # says that nothing follows, and does not wait for the answer
+        time.sleep(0.1)
+        farm.master.signal(signal.SIGCONT)
+        wait_until(lambda: re.search("workers (left|lost) id=w1", farm.master.log()),
+                   "the worker to go")
+        assert "workers left id=w1" in farm.master.log()
+        peer.close()
 
 
 def test_only_tls_13_and_a_secure_cookie(tmp_path, pki):
