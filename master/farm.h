@@ -5,7 +5,8 @@
  *   farm.c       scheduler glue: feeds events, carries out actions, keeps its timer
  *   jobs.c       the table of jobs: submit, admit, pause, cancel, finish, retention
  *   job_keys.c   idempotency keys of submissions
- *   job_film.c   a job's film: load, checkpoint, finish, picture
+ *   job_film.c   a job's film: load, checkpoint, finish
+ *   job_picture.c  its picture as a file, for people
  *   job_plan.c   samples by error or time: pilot, plan, stages (job_plan.h)
  *   results.c    a result's way: decode, check, schedule, store, film, acknowledge
  *   verify.c     results that are compared; liars; what is remembered of losses and pauses
@@ -191,6 +192,10 @@ struct farm {
 
     bool running; /* everything was loaded, and the store takes operations */
     bool stopping;
+    struct picture_queue { /* job_picture.c */
+        struct picture *first;
+        uint32_t running;
+    } pictures;
     struct farm_counters counters;
 };
 
@@ -353,15 +358,17 @@ void job_finish_put(const struct job *job, struct job_record *row);
 void job_film_changed(struct farm *f, struct job *job);
 void job_checkpoint(struct farm *f, struct job *job);
 
-/* The picture as a file, made on the pool. `done` gets the bytes (takes them) or an error, and how
- * many values were too large for a half. */
+/* Frees films of finished jobs when there are too many. */
+void job_films_evict(struct farm *f);
+
+/* --- job_picture.c ---------------------------------------------------------- */
+
+/* The picture as a file, made on the pool when its turn comes. `done` gets the bytes (takes them)
+ * or an error, and how many values were too large for a half. */
 enum picture_format { PICTURE_EXR, PICTURE_EXR_HALF, PICTURE_PNG };
 typedef void picture_done(void *ctx, enum err e, struct buf *file, uint64_t clamped);
 TL_NODISCARD enum err job_picture(struct farm *f, struct job *job, enum picture_format format,
                                   picture_done *done, void *ctx);
-
-/* Frees films of finished jobs when there are too many. */
-void job_films_evict(struct farm *f);
 
 /* --- results.c ------------------------------------------------------------ */
 

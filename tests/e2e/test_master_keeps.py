@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import sqlite3
+import struct
 import sys
 import threading
 import time
@@ -35,6 +36,14 @@ def give_results(peer, count):
         peer.send("Result", body, **fields)
     for _ in range(count):
         peer.expect("ResultAck")
+
+
+def zeros_frame(megabytes):
+    """A zstd frame of so many zeros, of RLE blocks, by hand."""
+    blocks = megabytes * 8
+    return struct.pack("<IBB", 0xFD2FB528, 0, 0x68) + b"".join(
+        (131072 << 3 | 1 << 1 | (i + 1 == blocks)).to_bytes(3, "little") + b"\0"
+        for i in range(blocks))
 
 
 # --- Results ------------------------------------------------------------------------------------
@@ -120,6 +129,59 @@ def test_long_line_is_cut_between_characters(farm, job):
     line = wait_until(lambda: [e["text"] for e in farm.job(job)["events"] if "failed" in e["text"]],
                       "the line")[0]
     assert line.endswith("\u00e9") and "\ufffd" not in line and len(line.encode()) >= 198
+
+
+def test_chunk_goes_to_the_connection_that_asked(tmp_path):
+    """A worker asks for a chunk and is back by another connection before it is read: it has not asked
+    on that one, and hangs up on what it has not asked for."""
+    with Farm(tmp_path) as farm:
+        job = farm.submit(SEED_SCENE, *OPTIONS)
+        package = bytes.fromhex(farm.job(job)["package"])
+        farm.master.end()
+        farm.start_master()  # it has no chunk in memory
+        # What is long to unpack keeps the pool from reading.
+        makers = [threading.Thread(target=Client(farm), args=(
+            "PUT", f"/api/v1/chunks/{i:064x}", zeros_frame(256))) for i in range(8)]
+        for maker in makers:
+            maker.start()
+        time.sleep(0.1)
+        first = Scripted(farm, instance=5).welcome()
+        first.send("ChunkRequest", sha256=package)
+        first.beat()
+        first.expect("Heartbeat")
+        again = Scripted(farm, instance=5).welcome()
+        assert again.id == first.id
+        for maker in makers:
+            while maker.is_alive():
+                again.beat()
+                maker.join(0.5)
+        with pytest.raises(TimeoutError):
+            again.expect("ChunkData", timeout=1)
+        again.send("ChunkRequest", sha256=package)
+        again.expect("ChunkData")
+
+
+def test_many_look_and_the_farm_goes_on(tmp_path):
+    """However many large pictures are asked for, a chunk that is not in memory is read meanwhile."""
+    with Farm(tmp_path) as farm:
+        job = farm.submit(SEED_SCENE, *OPTIONS)
+        farm.submit(SEED_SCENE, "--spp", 1, "--size", "4096x4096", "--priority", -1)
+        package = bytes.fromhex(farm.job(job)["package"])
+        farm.master.end()
+        farm.start_master()
+        replies = []
+        lookers = [threading.Thread(target=lambda: replies.append(farm.request(
+            "GET", "/api/v1/jobs/j2/picture.png?partial=1", raw=True)[0])) for _ in range(8)]
+        for looker in lookers:
+            looker.start()
+        time.sleep(0.2)
+        peer = Scripted(farm).welcome()
+        peer.send("ChunkRequest", sha256=package)
+        peer.expect("ChunkData")
+        assert len(replies) < 3
+        for looker in lookers:
+            looker.join()
+        assert replies == [200] * 8
 
 
 # --- A full disk --------------------------------------------------------------------------------
