@@ -614,16 +614,17 @@ void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned 
     ask(l);
 }
 
-void scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk)
+enum err scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk)
 {
     struct asked *a = find_asked(l, chunk);
     if (!a)
-        return;
+        return ERR_CORRUPT;
     struct load *load = a->load;
     size_t i = a->want;
     answered(l, a);
     if (load)
         end_with_chunk(load, &load->wants[i], ERR_NOT_FOUND, "the master does not have it");
+    return ERR_OK;
 }
 
 /* --- Requests ----------------------------------------------------------------------- */

@@ -64,6 +64,8 @@ TL_NODISCARD enum err scene_fetcher_wants(const struct scene_fetcher *l, const d
 /* Takes `body` (mem_free). */
 void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned char *body,
                          size_t body_bytes);
-void scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk);
+/* The master has no such chunk: the load fails. ERR_CORRUPT if it was not asked for: then the
+ * answer that is waited for will not come. */
+TL_NODISCARD enum err scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk);
 
 #endif

@@ -359,7 +359,7 @@ enum err work_message(struct work *w, const struct message *m, unsigned char *bo
         return on_chunk(w, &m->chunk_data, body, body_bytes);
     case FRAME_CHUNK_MISSING:
         name = digest_from(m->chunk_missing.sha256);
-        scene_fetcher_missing(job_table_loader(w->jobs), &name);
+        e = scene_fetcher_missing(job_table_loader(w->jobs), &name);
         break;
     case FRAME_JOB_INFO:
         if (!w->draining)

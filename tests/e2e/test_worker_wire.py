@@ -50,7 +50,8 @@ class WorkerWire(unittest.TestCase):
         cls.folder = tempfile.TemporaryDirectory()
         cls.package = Package(cls.folder.name, side=64, spp=4, cells_per_unit=4)
         cls.slow_folder = tempfile.TemporaryDirectory()
-        cls.slow = Package(cls.slow_folder.name, side=128, spp=32, cells_per_unit=32)
+        # Half a second a unit.
+        cls.slow = Package(cls.slow_folder.name, side=256, spp=32, cells_per_unit=128)
 
     @classmethod
     def tearDownClass(cls):
@@ -221,6 +222,22 @@ class WorkerWire(unittest.TestCase):
         m = peer.expect("JobFailed")
         self.assertEqual(m["error"], "ERR_NOT_FOUND")
         begin_job(peer, self.package)  # the master has it now
+        serve(peer, self.package)
+
+    def test_an_answer_that_nobody_asked_for_ends_the_connection(self):
+        """A bit of the request came over wrong: the answer that it waits for will not come."""
+        self.worker()
+        peer = self.master.accept()
+        peer.shake()
+        begin_job(peer, self.package)
+        name = bytearray(peer.expect("ChunkRequest")["sha256"])
+        name[7] ^= 32
+        peer.send("ChunkMissing", sha256=bytes(name))
+        with self.assertRaises((Closed, ConnectionError)):  # though the master's heart beats
+            peer.expect("nothing else", timeout=6)
+        peer = self.master.accept()
+        peer.shake()
+        begin_job(peer, self.package)
         serve(peer, self.package)
 
     # --- Chunks ------------------------------------------------------------------------
