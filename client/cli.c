@@ -109,6 +109,32 @@ int cli_cannot_write(const char *path, enum err e, int errnum, uint64_t bytes_ne
     return EXIT_MACHINE;
 }
 
+static int would_replace(enum cli_option_id id, const char *path, const char *what)
+{
+    cli_error("bad-value", "give the output another name", "--%s %s: would replace %s",
+              cli_options[id].name, path, what);
+    return EXIT_USAGE;
+}
+
+int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        const char *path = cli_has(line, ids[i]) ? cli_text(line, ids[i]) : NULL;
+        for (size_t k = 0; path && k < i; k++) {
+            if (cli_has(line, ids[k]) && out_file_same(path, cli_text(line, ids[k]))) {
+                cli_error("bad-value", NULL, "%s is named twice", path);
+                return EXIT_USAGE;
+            }
+        }
+        for (int k = 0; path && k < line->argument_count; k++)
+            if (out_file_same(path, line->arguments[k]))
+                return would_replace(ids[i], path, "the file that is read");
+        if (path && cli_has(line, CLI_PLAN) && out_file_same(path, cli_text(line, CLI_PLAN)))
+            return would_replace(ids[i], path, "the plan that is read");
+    }
+    return EXIT_DONE;
+}
+
 static int print_help(enum cli_command_id id)
 {
     struct buf out;

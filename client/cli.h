@@ -56,9 +56,13 @@ int cli_problems(const struct diag_list *problems, const char *tail);
 bool cli_put(const char *text, size_t bytes);
 bool cli_put_buf(const struct buf *b);
 
-/* Bad words were used to say `what cannot be written`: exit 5 with the reason in errno's words. */
+/* Says why `path` cannot be written, in errno's words where `errnum` is not 0; exit status 5. */
 int cli_cannot_write(const char *path, enum err e, int errnum, uint64_t bytes_needed,
                      const char *hint);
+
+/* Whether the files that these options name differ from each other and from what the command reads:
+ * its arguments and the plan. EXIT_USAGE, and said, if one would be replaced. */
+int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids, size_t count);
 
 /* A name from the farm or a file, safe for a terminal: control characters become '?'. Static
  * buffers, four in turn. */

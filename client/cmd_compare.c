@@ -155,7 +155,10 @@ int command_compare(struct cli *cli)
 {
     struct picture pictures[2] = {0};
     struct diag_list problems;
-    int status = EXIT_DONE;
+    static const enum cli_option_id heatmap = CLI_HEATMAP;
+    int status = cli_check_outputs(&cli->line, &heatmap, 1);
+    if (status != EXIT_DONE)
+        return status;
     diag_init(&problems);
     for (int i = 0; i < 2; i++) {
         int one = read_picture(cli->line.arguments[i], &pictures[i], &problems);

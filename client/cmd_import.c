@@ -51,6 +51,10 @@ int command_import(struct cli *cli)
         cli_error("no-output", "tilery import MODEL -o scene.json", "where shall the scene go?");
         return EXIT_USAGE;
     }
+    static const enum cli_option_id output = CLI_OUTPUT;
+    int status = cli_check_outputs(&cli->line, &output, 1);
+    if (status != EXIT_DONE)
+        return status;
     diag_init(&problems);
     enum err e = import_init(&im, cli->line.arguments[0], &problems);
     if (e == ERR_OK) {
@@ -58,7 +62,7 @@ int command_import(struct cli *cli)
         e = import_run(&im, &spec);
     }
     (void)cli_problems(&problems, e == ERR_OK ? NULL : "nothing written");
-    int status = err_exit_status(e);
+    status = err_exit_status(e);
     if (e == ERR_OK)
         status = write_scene(cli, &im, &spec);
     else if (status == EXIT_MACHINE)

@@ -82,15 +82,9 @@ static int check_line(const struct cli_line *line)
                   cli_text(line, CLI_OUTPUT));
         return EXIT_USAGE;
     }
-    for (size_t i = 0; i < 3; i++) {
-        for (size_t k = 0; k < i; k++) {
-            if (cli_has(line, ids[i]) && cli_has(line, ids[k]) &&
-                strcmp(cli_text(line, ids[i]), cli_text(line, ids[k])) == 0) {
-                cli_error("bad-value", NULL, "%s is named twice", cli_text(line, ids[i]));
-                return EXIT_USAGE;
-            }
-        }
-    }
+    int status = cli_check_outputs(line, ids, 3);
+    if (status != EXIT_DONE)
+        return status;
     for (size_t i = 0; i < 3; i++) {
         enum err e = cli_has(line, ids[i]) ? out_file_check(cli_text(line, ids[i]), 0) : ERR_OK;
         if (e != ERR_OK)

@@ -24,6 +24,9 @@ int cmd_submit_outputs(const struct cli *cli)
 {
     static const enum cli_option_id ids[] = {CLI_OUTPUT, CLI_PNG, CLI_REPORT};
     bool wait = cli_flag(&cli->line, CLI_WAIT);
+    int status = cli_check_outputs(&cli->line, ids, sizeof ids / sizeof *ids);
+    if (status != EXIT_DONE)
+        return status;
     for (size_t i = 0; i < sizeof ids / sizeof *ids; i++) {
         if (!cli_has(&cli->line, ids[i]))
             continue;

@@ -60,6 +60,31 @@ enum err out_file_check(const char *path, uint64_t bytes_needed)
     return free_space_check(path, bytes_needed);
 }
 
+static const char *last_part(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
+}
+
+/* True if both are there, and one thing. */
+static bool is_one(const char *a, const char *b)
+{
+    struct stat x, y;
+    return stat(a, &x) == 0 && stat(b, &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
+}
+
+bool out_file_same(const char *a, const char *b)
+{
+    if (strcmp(a, b) == 0 || is_one(a, b))
+        return true;
+    char *folders[2] = {file_folder(a), file_folder(b)};
+    bool same = folders[0] && folders[1] && strcmp(last_part(a), last_part(b)) == 0 &&
+                is_one(folders[0], folders[1]);
+    mem_free(folders[0]);
+    mem_free(folders[1]);
+    return same;
+}
+
 uint64_t out_file_free_bytes(const char *path)
 {
     struct statvfs disk;

@@ -7,6 +7,8 @@
 #ifndef CLIENT_OUT_FILE_H
 #define CLIENT_OUT_FILE_H
 
+#include <stdbool.h>
+
 #include "common/err.h"
 
 struct out_file {
@@ -18,6 +20,9 @@ struct out_file {
  * itself, and `bytes_needed` are free. ERR_NOT_FOUND (no such folder), ERR_NOSPACE, ERR_IO, with
  * errno set. Nothing is left behind. */
 TL_NODISCARD enum err out_file_check(const char *path, uint64_t bytes_needed);
+
+/* True if two paths name one file, whether it is there yet or not. */
+bool out_file_same(const char *a, const char *b);
 
 /* Free bytes of the disk that holds `path`'s folder; 0 if unknown. */
 uint64_t out_file_free_bytes(const char *path);

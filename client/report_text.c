@@ -132,10 +132,10 @@ static void put_farm(const struct json *r, struct buf *out)
         buf_printf(out, "  farm     no worker yet");
     if (lost > 0)
         buf_printf(out, ", %.0f lost", lost);
+    double total = units ? reply_number(units, "total", 0) : 0;
     if (units)
-        buf_printf(out, "; %.0f units, %.0f retried, %.0f rejected",
-                   reply_number(units, "total", 0), reply_number(units, "retried", 0),
-                   reply_number(units, "rejected", 0));
+        buf_printf(out, "; %.0f unit%s, %.0f retried, %.0f rejected", total, total == 1 ? "" : "s",
+                   reply_number(units, "retried", 0), reply_number(units, "rejected", 0));
     if (units && reply_number(units, "verified", 0) > 0)
         buf_printf(out, ", %.0f verified", reply_number(units, "verified", 0));
     buf_printf(out, "\n");

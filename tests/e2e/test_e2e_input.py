@@ -331,3 +331,26 @@ def test_settings(tmp_path):
     done = tilery("jobs", env=env)
     assert done.returncode == 2
     assert f"{folder}/config:2" in done.stderr and "workers" in done.stderr
+
+
+@pytest.mark.parametrize("words, kept", [
+    (["render", "scene.json", "-o", "out.exr", "--report", "./scene.json"], "scene.json"),
+    (["render", "scene.json", "-o", "./out.exr", "--png", "out.exr"], "out.exr"),
+    (["render", "scene.json", "-o", "out.exr", "--png", "link.json"], "scene.json"),
+    (["submit", "scene.json", "--wait", "-o", "a.exr", "--report", "../{}/scene.json"], "scene.json"),
+    (["import", "model.obj", "-o", "model.obj"], "model.obj"),
+    (["compare", "a.exr", "out.exr", "--heatmap", "./a.exr"], "a.exr")])
+def test_no_output_replaces_what_is_read(tmp_path, words, kept):
+    """Each of these wrote over its own input, or one output over another, and exited 0."""
+    (tmp_path / "scene.json").write_text(json.dumps(GOOD))
+    (tmp_path / "link.json").symlink_to("scene.json")
+    for name in ("triangle.obj", "model.obj"):
+        (tmp_path / name).write_text(TRIANGLE)
+    for name in ("a.exr", "out.exr"):
+        (tmp_path / name).write_bytes(b"\x76\x2f\x31\x01")
+    before = (tmp_path / kept).read_bytes()
+    done = tilery(*[w.format(tmp_path.name) for w in words], cwd=tmp_path)
+    assert done.returncode == 2, (done.returncode, done.stderr)
+    assert "[bad-value]" in done.stderr
+    assert (tmp_path / kept).read_bytes() == before
+    assert not list(tmp_path.glob("*_meshes"))
