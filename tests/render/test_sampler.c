@@ -29,6 +29,22 @@ static void fill(enum job_sampler type, uint32_t x, uint32_t half, size_t count,
     }
 }
 
+/* Sets far apart are others: dimensions have more bits than sets. They had not. */
+static void far_sets_have_dimensions_of_their_own(void **state)
+{
+    (void)state;
+    for (size_t t = 0; t < 3; t++) {
+        struct sampler s = sampler_of(types[t], 1, 2, 3, 0, 5);
+        for (uint32_t far = 0; far < 2; far++) {
+            double near_u[SAMPLER_SET_VALUES], far_u[SAMPLER_SET_VALUES];
+            sampler_set(&s, 2, near_u);
+            sampler_set(&s, 2 + (UINT32_C(1) << (30 + far)), far_u);
+            for (int k = 0; k < SAMPLER_SET_VALUES; k++)
+                assert_true(near_u[k] != far_u[k]);
+        }
+    }
+}
+
 static double correlation(const double *a, const double *b, size_t count)
 {
     double ab = 0, aa = 0, bb = 0;
@@ -314,6 +330,7 @@ static void kernels_give_the_same_bits(void **state)
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(far_sets_have_dimensions_of_their_own),
         cmocka_unit_test(test_t23_pairs),
         cmocka_unit_test(test_t23_dropped_dimension_fails),
         cmocka_unit_test(halves_and_pixels_are_independent),

@@ -188,6 +188,51 @@ static void alpha_lets_light_through(void **state)
 }
 
 /* A wall lit by a panel whose emission is a texture, found by light sampling and by chance. */
+static uint32_t kit_pane(struct scene *s, double alpha)
+{
+    struct scene_material *m;
+    uint32_t pane = kit_material(s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->metallic = m->specular = 0;
+    m->alpha = alpha;
+    m->alpha_used = true;
+    m->alpha_cutoff = -1;
+    return pane;
+}
+
+/* Behind two panes a path asks whether the third holds it. Dimensions were counted in 32 bits: that
+ * number was the one that drew the direction from there, so of all directions only a half was
+ * taken, under the samplers that count dimensions. */
+static void opacity_draws_no_direction(void **state)
+{
+    (void)state;
+    static const enum job_sampler types[] = {JOB_SAMPLER_SOBOL, JOB_SAMPLER_HALTON,
+                                             JOB_SAMPLER_INDEPENDENT};
+    static const double lamp[12] = {1, 5, 0, 5, 1, 0, 5, 1, 4, 1, 5, 4};
+    double means[3];
+    struct scene s;
+    scene_init(&s);
+    for (int z = 0; z < 3; z++) {
+        const double pane[12] = {-9, -9, z, 9, -9, z, 9, 9, z, -9, 9, z};
+        kit_quad(&s, pane, kit_pane(&s, z == 0 ? 0.5 : 1e-4));
+    }
+    kit_emit(&s, kit_quad(&s, lamp, kit_diffuse(&s, 0, 0, 0)), 1, 1, 1);
+    s.camera.position[2] = 3.5;
+    s.camera.fov = 5;
+    for (size_t i = 0; i < 3; i++) {
+        struct job_spec spec = kit_spec(16, 256);
+        spec.profile = JOB_PROFILE_RW;
+        spec.sampler = types[i];
+        spec.max_depth = 2;
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        means[i] = kit_picture_mean(&p);
+        kit_picture_free(&p);
+    }
+    assert_true(means[0] > 0.01);
+    assert_true(fabs(means[1] / means[0] - 1) < 0.05);
+    assert_true(fabs(means[2] / means[0] - 1) < 0.05);
+    scene_release(&s);
+}
+
 /* A rough dielectric whose index is that of its surroundings becomes smooth glass, whose only lobe
  * is a direction. It was still taken for rough: NEE sampled lights there in vain and gave up the
  * last edge, on which only light that is hit counts. A lamp behind it was dark. */
@@ -483,6 +528,7 @@ int main(void)
         cmocka_unit_test(two_triangles_make_one_light),
         cmocka_unit_test(instances_look_like_copies),
         cmocka_unit_test(alpha_lets_light_through),
+        cmocka_unit_test(opacity_draws_no_direction),
         cmocka_unit_test(what_bends_nothing_hides_nothing),
         cmocka_unit_test(textured_emission_is_found_both_ways),
         cmocka_unit_test(nothing_at_all_is_black),

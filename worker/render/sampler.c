@@ -169,9 +169,9 @@ static double halton_value(uint64_t key, uint64_t index, uint32_t dimension)
     return sum < below_one ? sum : below_one;
 }
 
-static double hash_value(uint64_t key, uint64_t index, uint32_t dimension)
+static double hash_value(uint64_t key, uint64_t index, uint64_t dimension)
 {
-    uint64_t h = sampler_mix(key + (uint64_t)dimension * UINT64_C(0x9e3779b97f4a7c15));
+    uint64_t h = sampler_mix(key + dimension * UINT64_C(0x9e3779b97f4a7c15));
     return (double)(sampler_mix(h ^ index * UINT64_C(0xd1342543de82ef95)) >> 11) * unit_53;
 }
 
@@ -184,9 +184,9 @@ void sampler_some(const struct sampler *s, uint32_t set, uint32_t count, double 
         return;
     }
     for (uint32_t k = 0; k < count; k++) {
-        uint32_t dimension = set * SAMPLER_SET_VALUES + k;
+        uint64_t dimension = (uint64_t)set * SAMPLER_SET_VALUES + k;
         u[k] = s->type == JOB_SAMPLER_HALTON && dimension < SAMPLER_HALTON_DIMENSIONS
-                   ? halton_value(s->key, s->index, dimension)
+                   ? halton_value(s->key, s->index, (uint32_t)dimension)
                    : hash_value(s->key, s->index, dimension);
     }
 }
