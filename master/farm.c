@@ -301,13 +301,13 @@ static enum err load(struct farm *f, const struct farm_options *o, bool *fresh)
     TL_TRY(load_determinism(f, o));
     TL_TRY(start_sched(f, seed));
     TL_TRY(jobs_load(f));
+    /* Before the first lease, or a kill would have its number given again. */
+    TL_TRY(store_set_value(f->store, "epoch_limit", &f->epoch_limit, sizeof f->epoch_limit));
     TL_TRY(store_start(f->store, wake_loop, f));
     f->running = true;
     if (fresh_seed)
         TL_TRY(store_put_value(f->store, "seed", &seed, sizeof seed));
-    if (*fresh)
-        TL_TRY(store_put_value(f->store, "farm", &f->id, sizeof f->id));
-    return store_put_value(f->store, "epoch_limit", &f->epoch_limit, sizeof f->epoch_limit);
+    return *fresh ? store_put_value(f->store, "farm", &f->id, sizeof f->id) : ERR_OK;
 }
 
 static void start_handles(struct farm *f)

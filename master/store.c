@@ -185,6 +185,18 @@ enum err store_load_value(struct store *s, const char *key, void *value, size_t 
     return store_db_get_value(s->db, key, value, bytes);
 }
 
+enum err store_set_value(struct store *s, const char *key, const void *value, size_t bytes)
+{
+    TL_ASSERT(!s->started);
+    TL_TRY(store_db_begin(s->db));
+    enum err e = store_db_put_value(s->db, key, value, bytes);
+    if (e == ERR_OK)
+        e = store_db_commit(s->db);
+    if (e != ERR_OK)
+        store_db_rollback(s->db);
+    return e;
+}
+
 struct replaying {
     struct store *store;
     uint64_t job;

@@ -36,6 +36,9 @@ TL_NODISCARD enum err store_load(struct store *s, const struct store_visitor *v)
 TL_NODISCARD enum err store_load_events(struct store *s, uint64_t job, uint32_t count,
                                         const struct store_visitor *v);
 TL_NODISCARD enum err store_load_value(struct store *s, const char *key, void *value, size_t bytes);
+/* Puts a value and waits until it is on disk. */
+TL_NODISCARD enum err store_set_value(struct store *s, const char *key, const void *value,
+                                      size_t bytes);
 
 /* What store_load_film calls for every result behind the checkpoint; anything but ERR_OK counts as
  * a damaged result, which is dropped (and rendered again) and logged. */

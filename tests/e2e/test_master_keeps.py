@@ -74,6 +74,19 @@ def test_results_after_a_retry_outlive_the_master(farm, job):
     assert report["image_sha256"] == expected_sha() and report["samples"] == SIDE * SIDE * SPP
 
 
+def test_no_epoch_comes_twice(tmp_path):
+    """A master is killed as soon as it has given a lease, again and again, on a slow disk: the number
+    of a lease is never given again, since a worker may come back with it."""
+    with Farm(tmp_path) as farm:
+        farm.submit(SEED_SCENE, *OPTIONS)
+        given = []
+        for _ in range(4):
+            farm.kill_master()
+            farm.start_master(env=shim("slow:disk:1:0"))
+            given.append(Scripted(farm).welcome().lease()["epoch"])
+        assert len(set(given)) == 4, given
+
+
 def test_done_is_on_disk(tmp_path):
     """A job that is told done was done for good, however slow the disk: the next master tells the
     same moment and the same numbers."""
