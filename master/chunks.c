@@ -165,6 +165,34 @@ size_t chunks_count(const struct chunk_store *s)
     return HASH_COUNT(s->chunks);
 }
 
+/* On the loop, so that no upload of the same name can come between table and file. */
+static void remove_chunk(struct chunk_store *s, struct chunk *c)
+{
+    char *path = path_of(s, &c->name);
+    if (!path)
+        return;
+    if (unlink(path) != 0 && errno != ENOENT)
+        log_warn("chunks", "cannot remove file=%s error=\"%s\"", path, strerror(errno));
+    mem_free(path);
+    if (c->frame)
+        s->cached_bytes -= blob_bytes(c->frame);
+    blob_unref(c->frame);
+    HASH_DEL(s->chunks, c);
+    mem_free(c);
+}
+
+/* Its file is not there: somebody took it away. It may be sent again. */
+static void forget_missing(struct chunk_store *s, const digest *name)
+{
+    struct chunk *c = find(s, name);
+    if (!c || c->waiters)
+        return;
+    char hex[DIGEST_HEX_BYTES];
+    digest_to_hex(name, hex);
+    log_warn("chunks", "its file is gone name=%s", hex);
+    remove_chunk(s, c);
+}
+
 /* --- Work of the pool --------------------------------------------------- */
 
 static void work_free(struct work *w)
@@ -382,7 +410,10 @@ static void get_after(uv_work_t *request, int status)
         waiter = next;
     }
     blob_unref(frame);
-    trim_cache(s, c);
+    if (e == ERR_NOT_FOUND)
+        forget_missing(s, &w->name);
+    else
+        trim_cache(s, c);
     work_free(w);
 }
 
@@ -434,6 +465,11 @@ static void check_after(uv_work_t *request, int status)
 {
     struct work *w = request->data;
     enum err e = status == 0 ? w->result : ERR_CANCELLED;
+    if (e == ERR_NOT_FOUND) {
+        forget_missing(w->store, &w->name);
+        buf_put(&w->missing, &w->name, sizeof w->name);
+        e = ERR_OK;
+    }
     for (size_t i = 0; e == ERR_OK && i < w->index.count; i++)
         if (!chunks_has(w->store, &w->index.entries[i].name))
             buf_put(&w->missing, &w->index.entries[i].name, sizeof(digest));
@@ -514,22 +550,6 @@ static void mark(struct chunk_store *s, const void *names, size_t bytes)
         if (c)
             c->sweep = s->sweeps;
     }
-}
-
-/* On the loop, so that no upload of the same name can come between table and file. */
-static void remove_chunk(struct chunk_store *s, struct chunk *c)
-{
-    char *path = path_of(s, &c->name);
-    if (!path)
-        return;
-    if (unlink(path) != 0 && errno != ENOENT)
-        log_warn("chunks", "cannot remove file=%s error=\"%s\"", path, strerror(errno));
-    mem_free(path);
-    if (c->frame)
-        s->cached_bytes -= blob_bytes(c->frame);
-    blob_unref(c->frame);
-    HASH_DEL(s->chunks, c);
-    mem_free(c);
 }
 
 static void sweep_after(uv_work_t *request, int status)

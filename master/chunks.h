@@ -36,15 +36,15 @@ typedef void chunk_put_done(void *ctx, enum err e);
 TL_NODISCARD enum err chunks_put(struct chunk_store *s, const digest *name, struct buf *frame,
                                  chunk_put_done *done, void *ctx);
 
-/* Gives the frame, or an error: ERR_NOT_FOUND, ERR_IO, ERR_NOMEM. `frame` is borrowed for the call;
- * blob_ref keeps it. May call back before it returns. */
+/* Gives the frame, or an error: ERR_NOT_FOUND (then it is not known any more), ERR_IO, ERR_NOMEM.
+ * `frame` is borrowed for the call; blob_ref keeps it. May call back before it returns. */
 typedef void chunk_got(void *ctx, enum err e, const digest *name, struct blob *frame,
                        uint64_t raw_bytes);
 void chunks_get(struct chunk_store *s, const digest *name, chunk_got *done, void *ctx);
 
-/* Reads a package's root and tells which of its chunks are missing: their names, in `missing` (of
- * digest values; taken by the callback). ERR_NOT_FOUND: the root itself; ERR_CORRUPT, ERR_LIMIT,
- * ERR_VERSION: it is no package. */
+/* Reads a package's root and tells which of its chunks are missing, itself included: their names,
+ * in `missing` (of digest values; taken by the callback). ERR_CORRUPT, ERR_LIMIT, ERR_VERSION: it
+ * is no package. ERR_NOT_FOUND, at once: its root is not known. */
 typedef void chunks_checked(void *ctx, enum err e, struct buf *missing);
 TL_NODISCARD enum err chunks_check_package(struct chunk_store *s, const digest *root,
                                            chunks_checked *done, void *ctx);

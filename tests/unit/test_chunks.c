@@ -168,12 +168,71 @@ static void test_sweep(void **state)
     chunks_close(s);
 }
 
+struct answer {
+    int got, checked;
+    enum err error;
+    size_t missing;
+};
+
+static void note_got(void *ctx, enum err e, const digest *name, struct blob *frame,
+                     uint64_t raw_bytes)
+{
+    struct answer *a = ctx;
+    (void)name;
+    (void)frame;
+    (void)raw_bytes;
+    a->got++;
+    a->error = e;
+}
+
+static void note_checked(void *ctx, enum err e, struct buf *missing)
+{
+    struct answer *a = ctx;
+    a->checked++;
+    a->error = e;
+    a->missing = missing->bytes / sizeof(digest);
+}
+
+/* Somebody took files out of the folder: who asks for them finds out, and clients are told to send
+ * them again; once the master said until its end that they were there. */
+static void test_files_that_are_gone(void **state)
+{
+    (void)state;
+    struct chunk_store *s;
+    digest names[2];
+    struct answer a = {0};
+    assert_int_equal(chunks_open(&loop, folder, &s), ERR_OK);
+    (void)put(s, "one", &names[0]);
+    (void)put(s, "two", &names[1]);
+    chunks_close(s);
+    assert_int_equal(chunks_open(&loop, folder, &s), ERR_OK); /* nothing is in memory */
+    char command[128];
+    (void)snprintf(command, sizeof command, "rm -rf '%s'/chunks/*", folder);
+    assert_int_equal(system(command), 0);
+    for (int i = 0; i < 3; i++)
+        chunks_get(s, &names[0], note_got, &a);
+    (void)uv_run(&loop, UV_RUN_DEFAULT);
+    assert_int_equal(a.got, 3);
+    assert_int_equal(a.error, ERR_NOT_FOUND);
+    assert_false(chunks_has(s, &names[0]));
+    assert_int_equal(chunks_check_package(s, &names[1], note_checked, &a), ERR_OK);
+    (void)uv_run(&loop, UV_RUN_DEFAULT);
+    assert_int_equal(a.checked, 1);
+    assert_int_equal(a.error, ERR_OK);
+    assert_int_equal(a.missing, 1);
+    assert_false(chunks_has(s, &names[1]));
+    assert_true(put(s, "one", &names[0]) > 0);
+    assert_true(chunks_has(s, &names[0]));
+    chunks_close(s);
+}
+
 int main(void)
 {
     log_set_level(LOG_ERROR);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(test_names_are_synced, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_sweep, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(test_files_that_are_gone, set_up, tear_down),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
