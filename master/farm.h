@@ -3,7 +3,8 @@
  * One loop thread owns everything here. The parts, each in its own file:
  *
  *   farm.c       scheduler glue: feeds events, carries out actions, keeps its timer
- *   jobs.c       the table of jobs: submit, admit, pause, cancel, finish, retention
+ *   jobs.c       the table of jobs: submit, pause, cancel, fail, load, retention
+ *   job_admit.c  which of them are with the scheduler
  *   job_keys.c   idempotency keys of submissions
  *   job_film.c   a job's film: load, checkpoint, finish
  *   job_picture.c  its picture as a file, for people
@@ -267,9 +268,6 @@ TL_NODISCARD enum err jobs_set_priority(struct farm *f, struct job *job, int32_t
 TL_NODISCARD enum err jobs_load(struct farm *f);
 void jobs_release(struct farm *f);
 
-/* Lets waiting jobs into the scheduler as far as there is room. */
-void jobs_admit(struct farm *f);
-
 /* Every second: retention, rows that could not be stored, films that nobody needs. */
 void jobs_tick(struct farm *f);
 
@@ -277,11 +275,6 @@ void jobs_tick(struct farm *f);
 void jobs_started(struct farm *f, struct job *job);
 void jobs_sched_done(struct farm *f, struct job *job);
 void jobs_sched_failed(struct farm *f, struct job *job, const char *why);
-
-/* Takes the job out of the scheduler; it may be admitted again from its film. */
-void jobs_leave_sched(struct farm *f, struct job *job);
-/* The scheduler has forgotten it: frees what it had lent. */
-void jobs_left_sched(struct job *job);
 
 /* The disk would not take a result: pauses the job and says why. */
 void jobs_disk_trouble(struct farm *f, struct job *job, enum err e);
@@ -312,6 +305,19 @@ const char *jobs_note(const struct farm *f, const struct job *job);
 /* Stores the rows of jobs of which something was leased again, verified or the like since: a
  * restart must not forget it. */
 void jobs_keep_counts(struct farm *f);
+
+/* --- job_admit.c ------------------------------------------------------------ */
+
+/* Lets waiting jobs into the scheduler as far as there is room. */
+void jobs_admit(struct farm *f);
+
+/* Takes the job out of the scheduler; it may be admitted again from its film. */
+void jobs_leave_sched(struct farm *f, struct job *job);
+/* The scheduler has forgotten it: frees what it had lent. */
+void jobs_left_sched(struct job *job);
+
+/* Adds the scheduler's counts of the job, which it begins anew whenever the job enters. */
+void jobs_add_counts(const struct farm *f, const struct job *job, struct job_stats *to);
 
 /* --- job_keys.c ------------------------------------------------------------ */
 
