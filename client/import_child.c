@@ -166,6 +166,23 @@ static enum err tell_death(struct import *im, enum err heard, int status)
     return import_fail(im, "import-crash", hint, "the reader of this format failed on it");
 }
 
+/* White in the place of a picture that cannot be had is no colour, but it tilts normals, and glows:
+ * what only the picture could tell is left out. */
+static void do_without(struct scene *s, uint32_t texture)
+{
+    for (size_t i = 0; i < s->material_count; i++) {
+        struct scene_material *m = &s->materials[i];
+        if (m->normal_texture == texture)
+            m->normal_texture = SCENE_NONE;
+        if (m->bump_texture == texture)
+            m->bump_texture = SCENE_NONE;
+        if (m->emission_texture != texture)
+            continue;
+        m->emission_texture = SCENE_NONE;
+        m->emission[0] = m->emission[1] = m->emission[2] = 0;
+    }
+}
+
 /* Replaces the constant textures that stand for pictures. */
 static enum err load_pictures(struct import *im, const struct import_message *m)
 {
@@ -183,6 +200,8 @@ static enum err load_pictures(struct import *im, const struct import_message *m)
         if (image != SCENE_NONE) {
             t->type = SCENE_TEXTURE_IMAGE;
             t->image = image;
+        } else {
+            do_without(&im->scene, (uint32_t)(t - im->scene.textures));
         }
     }
     return ERR_OK;

@@ -86,7 +86,8 @@ static void put_image_texture(const struct import_writer *w, struct buf *b,
 {
     static const char *const wraps[] = {"repeat", "clamp", "mirror"};
     static const double same[6] = {1, 0, 0, 0, 1, 0};
-    bool is_data = w->im->scene.images[t->image].format == SCENE_IMAGE_U8_LINEAR;
+    const struct import_source *source = import_source_of(w->im, t->image);
+    bool is_data = source && source->use == IMAGE_DATA;
     buf_printf(b, "{\"type\": \"image\"");
     put_text(b, "path", w->image_paths[t->image]);
     if (is_data)

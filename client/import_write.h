@@ -19,4 +19,7 @@ struct import_writer {
 /* Writes meshes and pictures; fills mesh_paths and image_paths. */
 TL_NODISCARD enum err import_write_files(struct import_writer *w);
 
+/* Where an image of the scene came from; NULL: it was made here. */
+const struct import_source *import_source_of(const struct import *im, uint32_t image);
+
 #endif

@@ -119,7 +119,7 @@ static enum err write_mesh(struct import_writer *w, size_t i)
 
 /* --- Pictures ------------------------------------------------------------ */
 
-static const struct import_source *source_of(const struct import *im, uint32_t image)
+const struct import_source *import_source_of(const struct import *im, uint32_t image)
 {
     for (size_t i = 0; i < im->source_count; i++)
         if (im->sources[i].image == image)
@@ -197,7 +197,7 @@ static enum err write_float_image(struct import_writer *w, size_t i)
 
 static enum err write_image(struct import_writer *w, size_t i)
 {
-    const struct import_source *s = source_of(w->im, (uint32_t)i);
+    const struct import_source *s = import_source_of(w->im, (uint32_t)i);
     if (!s)
         return write_float_image(w, i);
     if (s->path) {
@@ -215,7 +215,7 @@ static enum err write_image(struct import_writer *w, size_t i)
 static bool has_own_images(const struct import *im)
 {
     for (size_t i = 0; i < im->scene.image_count; i++) {
-        const struct import_source *s = source_of(im, (uint32_t)i);
+        const struct import_source *s = import_source_of(im, (uint32_t)i);
         if (!s || !s->path)
             return true;
     }

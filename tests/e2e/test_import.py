@@ -77,14 +77,16 @@ def test_obj_with_materials(tmp_path):
     assert picture_hash(tmp_path, "m.obj") == picture_hash(tmp_path, "scene.json")
 
 
-def write_png(path, rows):
-    """8 bits of grey, or of RGB where a pixel is a triple."""
+def write_png(path, rows, bits=8):
+    """Grey, or RGB where a pixel is a triple; of 8 or 16 bits."""
     grey = isinstance(rows[0][0], int)
     def chunk(kind, body):
         return (struct.pack(">I", len(body)) + kind + body +
                 struct.pack(">I", zlib.crc32(kind + body)))
-    body = b"".join(b"\0" + bytes(r if grey else sum(r, ())) for r in rows)
-    head = struct.pack(">IIBBBBB", len(rows[0]), len(rows), 8, 0 if grey else 2, 0, 0, 0)
+    samples = [list(r) if grey else [v for pixel in r for v in pixel] for r in rows]
+    body = b"".join(b"\0" + struct.pack(f">{len(r)}{'B' if bits == 8 else 'H'}", *r)
+                    for r in samples)
+    head = struct.pack(">IIBBBBB", len(rows[0]), len(rows), bits, 0 if grey else 2, 0, 0, 0)
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) +
                      chunk(b"IDAT", zlib.compress(body)) + chunk(b"IEND", b""))
 
@@ -223,6 +225,57 @@ def test_pictures_of_roughness_in_mtl(tmp_path, words, roughness, metallic, warn
         assert m.get("roughness", 1) == roughness
         assert scene["textures"][m["metallic_roughness_texture"]]["encoding"] == "linear"
     assert ("[left-out]" in said) == warned
+
+
+def test_deep_data_stays_data(tmp_path):
+    """A 16-bit normal map was written as if it held colours: the scene's bits were others."""
+    write_png(tmp_path / "n.png", [[(20000, 32768, 60000)] * 2] * 2, bits=16)
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 0.8 0.8 0.8\nnorm n.png\n")
+    (tmp_path / "m.obj").write_text(ROUGH_OBJ)
+    scene, _ = imported(tmp_path, "m.obj")
+    normal = scene["materials"]["a"]["normal_texture"]
+    assert scene["textures"][normal]["encoding"] == "linear"
+    assert picture_hash(tmp_path, "m.obj") == picture_hash(tmp_path, "scene.json")
+
+
+DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><up_axis>Y_UP</up_axis></asset>
+<library_images><image id="i"><init_from>gone.png</init_from></image></library_images>
+<library_effects><effect id="e"><profile_COMMON>
+<newparam sid="su"><surface type="2D"><init_from>i</init_from></surface></newparam>
+<newparam sid="sa"><sampler2D><source>su</source></sampler2D></newparam>
+<technique sid="c"><lambert>%s<diffuse><color>0.8 0.8 0.8 1</color></diffuse></lambert>%s
+</technique></profile_COMMON></effect></library_effects>
+<library_materials><material id="m" name="m"><instance_effect url="#e"/></material>
+</library_materials><library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="9">0 0 0 1 0 0 0 1 0</float_array><technique_common>
+<accessor source="#pa" count="3" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<source id="t"><float_array id="ta" count="6">0 0 1 0 0 1</float_array><technique_common>
+<accessor source="#ta" count="3" stride="2"><param name="S" type="float"/>
+<param name="T" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="1" material="mm"><input semantic="VERTEX" source="#v" offset="0"/>
+<input semantic="TEXCOORD" source="#t" offset="1" set="0"/><p>0 0 1 1 2 2</p></triangles>
+</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s"><node id="n">
+<instance_geometry url="#g"><bind_material><technique_common>
+<instance_material symbol="mm" target="#m"/></technique_common></bind_material>
+</instance_geometry></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+@pytest.mark.parametrize("emission, extra", [
+    ("", '<extra><technique profile="FCOLLADA"><bump><texture texture="sa" texcoord="T"/></bump>'
+         "</technique></extra>"),
+    ('<emission><texture texture="sa" texcoord="T"/></emission>', "")])
+def test_a_picture_that_is_gone_tilts_and_glows_nothing(tmp_path, emission, extra):
+    """White stood in its place: normals leant by 55 degrees, and what should glow in places glowed
+    all over."""
+    (tmp_path / "m.dae").write_text(DAE % (emission, extra))
+    (tmp_path / "plain.dae").write_text(DAE % ("", ""))
+    _, said = imported(tmp_path, "m.dae")
+    assert "[missing-image]" in said
+    assert picture_hash(tmp_path, "m.dae") == picture_hash(tmp_path, "plain.dae")
 
 
 def mesh_vertices(path):
