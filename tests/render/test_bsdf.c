@@ -86,6 +86,29 @@ static vec3 direction(double cosine, double turn)
     return v3(sine * c, sine * s, cosine);
 }
 
+/* Tints and weights over 1 ask for more light than there is; what lies under them then gets none.
+ * It got less than none: negative light. */
+static void no_layer_takes_more_than_there_is(void **state)
+{
+    (void)state;
+    for (int k = 0; k < 4; k++) {
+        struct material m = material_of(SCENE_MATERIAL_PRINCIPLED);
+        m.sheen_color = rgb_grey(k == 0 ? 20 : 0);
+        m.specular = k == 1 ? 30 : 1;
+        m.metallic = k == 2 ? 0.3 : 0;
+        m.transmission = k == 3 ? 0.5 : 0;
+        m.specular_color = k == 3 ? (rgb){1e3, 1, 0} : rgb_grey(1);
+        principled_prepare(&m);
+        struct bsdf b = bsdf_of(&m, k == 2 ? (rgb){9, 0.5, 0.1} : rgb_grey(0.7));
+        for (int i = 0; i < 4096; i++) {
+            double pdf;
+            vec3 wo = direction((i % 16 + 0.5) / 16, 0.1);
+            rgb f = bsdf_eval(&b, wo, direction((i / 16 % 16 - 7.5) / 8, (i / 256) / 16.0), &pdf);
+            assert_true(f.r >= 0 && f.g >= 0 && f.b >= 0);
+        }
+    }
+}
+
 /* A map of the sphere in (cos theta, phi), and how many samples it gets. */
 struct chi2_map {
     int rows, columns;
@@ -445,6 +468,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(sample_agrees_with_eval),
         cmocka_unit_test(test_t19_reciprocity),
         cmocka_unit_test(no_energy_is_made),
+        cmocka_unit_test(no_layer_takes_more_than_there_is),
         cmocka_unit_test(test_t15_snell),
         cmocka_unit_test(test_t16_total_reflection),
     };

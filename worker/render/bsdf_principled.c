@@ -29,6 +29,12 @@ static double schlick5(double cosine)
     return x2 * x2 * x;
 }
 
+/* What a layer that takes `part` leaves to those below. */
+static double left_by(double part)
+{
+    return part < 1 ? 1 - part : 0;
+}
+
 static rgb specular_fresnel(const struct lobes *l, double cosine)
 {
     return rgb_mix(l->f0, l->f90, schlick5(cosine));
@@ -110,7 +116,8 @@ static double facet_pdf(const struct microfacet *mf, vec3 wo, vec3 wi, vec3 m, d
 static rgb below_specular(const struct lobes *l, double coso, double cosi)
 {
     rgb o = specular_fresnel(l, coso), i = specular_fresnel(l, cosi);
-    return (rgb){(1 - o.r) * (1 - i.r), (1 - o.g) * (1 - i.g), (1 - o.b) * (1 - i.b)};
+    return (rgb){left_by(o.r) * left_by(i.r), left_by(o.g) * left_by(i.g),
+                 left_by(o.b) * left_by(i.b)};
 }
 
 static rgb eval_reflection(const struct bsdf *b, const struct lobes *l, vec3 wo, vec3 wi,
@@ -128,7 +135,7 @@ static rgb eval_reflection(const struct bsdf *b, const struct lobes *l, vec3 wo,
     if (sheen > 0) {
         double eo = principled_sheen_albedo(b->material, wo.z);
         double ei = principled_sheen_albedo(b->material, wi.z);
-        f = rgb_scale(f, 1 - sheen * (eo > ei ? eo : ei));
+        f = rgb_scale(f, left_by(sheen * (eo > ei ? eo : ei)));
         f = rgb_mad(f, l->sheen, principled_sheen_value(b->material, wo, wi));
     }
     if (l->coat > 0) {
@@ -155,7 +162,7 @@ static rgb eval_transmission(const struct bsdf *b, const struct lobes *l, vec3 w
     if (sheen > 0) {
         double eo = principled_sheen_albedo(b->material, wo.z);
         double ei = principled_sheen_albedo(b->material, image.z);
-        layers *= 1 - sheen * (eo > ei ? eo : ei);
+        layers *= left_by(sheen * (eo > ei ? eo : ei));
     }
     rgb under = below_specular(l, wo.z, image.z);
     return rgb_scale(rgb_mul(l->transmit, under), layers * facets * shadow);
