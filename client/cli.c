@@ -132,6 +132,16 @@ int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids
         if (path && cli_has(line, CLI_PLAN) && out_file_same(path, cli_text(line, CLI_PLAN)))
             return would_replace(ids[i], path, "the plan that is read");
     }
+    for (size_t i = 0; i < count; i++) {
+        const char *path = cli_has(line, ids[i]) ? cli_text(line, ids[i]) : NULL;
+        /* Reports and heat maps are text and PNG, which pipes and /dev/stdout take as well. */
+        bool streams = ids[i] == CLI_REPORT || ids[i] == CLI_HEATMAP;
+        if (!path || (streams && out_file_is_stream(path)))
+            continue;
+        enum err e = out_file_check(path, 0);
+        if (e != ERR_OK)
+            return cli_cannot_write(path, e, errno, 0, NULL);
+    }
     return EXIT_DONE;
 }
 

@@ -60,8 +60,9 @@ bool cli_put_buf(const struct buf *b);
 int cli_cannot_write(const char *path, enum err e, int errnum, uint64_t bytes_needed,
                      const char *hint);
 
-/* Whether the files that these options name differ from each other and from what the command reads:
- * its arguments and the plan. EXIT_USAGE, and said, if one would be replaced. */
+/* Whether the files that these options name can be written, and differ from each other and from
+ * what the command reads: its arguments and the plan. EXIT_USAGE, and said, if one would be
+ * replaced. */
 int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids, size_t count);
 
 /* A name from the farm or a file, safe for a terminal: control characters become '?'. Static

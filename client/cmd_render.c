@@ -83,14 +83,7 @@ static int check_line(const struct cli_line *line)
         return EXIT_USAGE;
     }
     int status = cli_check_outputs(line, ids, 3);
-    if (status != EXIT_DONE)
-        return status;
-    for (size_t i = 0; i < 3; i++) {
-        enum err e = cli_has(line, ids[i]) ? out_file_check(cli_text(line, ids[i]), 0) : ERR_OK;
-        if (e != ERR_OK)
-            return cli_cannot_write(cli_text(line, ids[i]), e, errno, 0, NULL);
-    }
-    return check_verify(line);
+    return status == EXIT_DONE ? check_verify(line) : status;
 }
 
 /* Memory that can be had without swapping; 0: not known. */

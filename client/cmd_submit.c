@@ -23,23 +23,14 @@ static void name_of(const char *path, char *out, size_t bytes)
 int cmd_submit_outputs(const struct cli *cli)
 {
     static const enum cli_option_id ids[] = {CLI_OUTPUT, CLI_PNG, CLI_REPORT};
-    bool wait = cli_flag(&cli->line, CLI_WAIT);
-    int status = cli_check_outputs(&cli->line, ids, sizeof ids / sizeof *ids);
-    if (status != EXIT_DONE)
-        return status;
     for (size_t i = 0; i < sizeof ids / sizeof *ids; i++) {
-        if (!cli_has(&cli->line, ids[i]))
+        if (!cli_has(&cli->line, ids[i]) || cli_flag(&cli->line, CLI_WAIT))
             continue;
-        if (!wait) {
-            cli_error("missing-option", "or fetch it later: tilery get JOB -o OUT.exr",
-                      "--%s needs --wait", cli_options[ids[i]].name);
-            return EXIT_USAGE;
-        }
-        enum err e = out_file_check(cli_text(&cli->line, ids[i]), 0);
-        if (e != ERR_OK)
-            return cli_cannot_write(cli_text(&cli->line, ids[i]), e, errno, 0, NULL);
+        cli_error("missing-option", "or fetch it later: tilery get JOB -o OUT.exr",
+                  "--%s needs --wait", cli_options[ids[i]].name);
+        return EXIT_USAGE;
     }
-    return EXIT_DONE;
+    return cli_check_outputs(&cli->line, ids, sizeof ids / sizeof *ids);
 }
 
 int cmd_submit_send(struct farm *farm, const struct cli *cli, struct load *load,

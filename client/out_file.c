@@ -50,7 +50,7 @@ enum err out_file_check(const char *path, uint64_t bytes_needed)
         return ERR_IO;
     }
     /* Devices and pipes are written in place by nobody here: they would be replaced by a file. */
-    if (stat(path, &found) == 0 && !S_ISREG(found.st_mode)) {
+    if (out_file_is_stream(path)) {
         errno = EINVAL;
         return ERR_IO;
     }
@@ -58,6 +58,12 @@ enum err out_file_check(const char *path, uint64_t bytes_needed)
     TL_TRY(out_file_begin(&f, path));
     out_file_abort(&f);
     return free_space_check(path, bytes_needed);
+}
+
+bool out_file_is_stream(const char *path)
+{
+    struct stat found;
+    return stat(path, &found) == 0 && !S_ISREG(found.st_mode) && !S_ISDIR(found.st_mode);
 }
 
 static const char *last_part(const char *path)

@@ -24,6 +24,9 @@ TL_NODISCARD enum err out_file_check(const char *path, uint64_t bytes_needed);
 /* True if two paths name one file, whether it is there yet or not. */
 bool out_file_same(const char *a, const char *b);
 
+/* True if it is there and no file or folder: a pipe, a terminal, another device. */
+bool out_file_is_stream(const char *path);
+
 /* Free bytes of the disk that holds `path`'s folder; 0 if unknown. */
 uint64_t out_file_free_bytes(const char *path);
 

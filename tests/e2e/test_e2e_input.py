@@ -354,3 +354,13 @@ def test_no_output_replaces_what_is_read(tmp_path, words, kept):
     assert "[bad-value]" in done.stderr
     assert (tmp_path / kept).read_bytes() == before
     assert not list(tmp_path.glob("*_meshes"))
+
+
+def test_a_report_may_go_to_a_pipe(tmp_path):
+    """/dev/stdout was refused as an invalid argument."""
+    (tmp_path / "scene.json").write_text(json.dumps(GOOD))
+    (tmp_path / "triangle.obj").write_text(TRIANGLE)
+    done = tilery("render", "scene.json", "-o", "out.exr", "--report", "/dev/stdout", "--quiet",
+                  cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["state"] == "done"
