@@ -78,8 +78,12 @@ static void run_daemon(struct http *h)
         h->kicked = false;
         (void)MHD_run(h->daemon);
         waits = MHD_get_timeout(h->daemon, &wait_ms) == MHD_YES;
-    } while (h->kicked || (waits && wait_ms == 0 && ++rounds < ROUNDS_MAX));
+    } while ((h->kicked || (waits && wait_ms == 0)) && ++rounds < ROUNDS_MAX);
     h->running = false;
+    if (h->kicked) {
+        (void)uv_timer_start(&h->timer, on_timer, 0, 0);
+        return;
+    }
     if (!waits) {
         (void)uv_timer_stop(&h->timer);
         return;
@@ -429,6 +433,12 @@ static void find_route(struct request *r, const char *method)
 static void check_request(struct request *r, const char *method)
 {
     bool writes = strcmp(method, "GET") != 0 && strcmp(method, "HEAD") != 0;
+    if (!http_framing_clear(r->connection)) {
+        request_problem(r, MHD_HTTP_BAD_REQUEST, "bad-request",
+                        "Host comes once, and so does Content-Length or Transfer-Encoding");
+        request_header(r, "Connection", "close");
+        return;
+    }
     if (!host_known(r->http, request_head(r, "Host"))) {
         request_problem(r, MHD_HTTP_MISDIRECTED_REQUEST, "unknown-host",
                         "this master answers on loopback names only");
@@ -526,6 +536,8 @@ static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const cha
         if (!r)
             return MHD_NO;
         check_request(r, method);
+        if (r->route)
+            http_guest_busy(h, c);
         /* An early refusal is sent when the body was read, so that the client reads it. */
         return MHD_YES;
     }
@@ -548,9 +560,8 @@ static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const cha
 static void on_completed(void *ctx, struct MHD_Connection *c, void **request,
                          enum MHD_RequestTerminationCode code)
 {
-    (void)ctx;
-    (void)c;
     (void)code;
+    http_guest_idle(ctx, c);
     if (*request)
         request_free(*request);
     *request = NULL;
@@ -626,10 +637,12 @@ static struct MHD_Daemon *make_daemon(struct http *h, int fd, char *certificate,
     struct MHD_OptionItem none[] = {{MHD_OPTION_END, 0, NULL}};
     uint32_t people, workers;
     farm_connection_limits(FARM_PEOPLE_MAX, &people, &workers);
+    h->guests.count_max = people;
     unsigned flags = MHD_USE_EPOLL | MHD_ALLOW_SUSPEND_RESUME | (h->secure ? MHD_USE_TLS : 0);
     return MHD_start_daemon(
         flags, 0, NULL, NULL, on_request, h, MHD_OPTION_LISTEN_SOCKET, fd,
-        MHD_OPTION_NOTIFY_COMPLETED, on_completed, h, MHD_OPTION_CONNECTION_LIMIT, (unsigned)people,
+        MHD_OPTION_NOTIFY_COMPLETED, on_completed, h, MHD_OPTION_NOTIFY_CONNECTION,
+        http_guest_notify, h, MHD_OPTION_CONNECTION_LIMIT, (unsigned)people,
         MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)HTTP_IDLE_S, MHD_OPTION_CONNECTION_MEMORY_LIMIT,
         (size_t)(64 * 1024), MHD_OPTION_ARRAY, h->secure ? tls : none, MHD_OPTION_END);
 }

@@ -7,9 +7,7 @@
 #include "master/http.h"
 #include "master/http_body.h"
 
-struct MHD_Connection;
-struct MHD_Daemon;
-struct MHD_Response;
+#include <microhttpd.h>
 
 enum {
     HTTP_BODY_BYTES_MAX = 1 << 20, /* of a JSON body */
@@ -65,6 +63,10 @@ struct http {
     struct stream *streams;   /* open event streams */
     uint64_t body_bytes;
     struct {
+        struct guest *first, *last; /* those that ask nothing, longest so first */
+        uint32_t count, count_max;  /* all connections */
+    } guests;
+    struct {
         uint64_t requests, problems, bytes_out;
     } counters;
 };
@@ -111,6 +113,21 @@ bool request_json(struct request *r, struct json_get *g, struct diag_list *probl
 
 /* Something was resumed or changed outside of libmicrohttpd's turn. */
 void http_kick(struct http *h);
+
+/* --- Connections (http_guard.c) ------------------------------------------- */
+
+/* Who holds a connection and asks nothing (never did, was refused, or not since its last answer)
+ * is hung up on, longest so first, when as many are open as may be: strangers keep nobody out.
+ * For MHD_OPTION_NOTIFY_CONNECTION, with the http as context. */
+void http_guest_notify(void *http, struct MHD_Connection *c, void **context,
+                       enum MHD_ConnectionNotificationCode code);
+/* A request of this connection is worked on, or was answered or broken off. */
+void http_guest_busy(struct http *h, struct MHD_Connection *c);
+void http_guest_idle(struct http *h, struct MHD_Connection *c);
+
+/* False: two Hosts, or two statements of where the body ends. A proxy may have read such a request
+ * another way than libmicrohttpd does (RFC 9112, 3.2 and 6.3). */
+bool http_framing_clear(struct MHD_Connection *c);
 
 /* --- Streams (http_events.c) ---------------------------------------------- */
 

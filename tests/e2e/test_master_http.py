@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from farm import BIN, Farm, GLASS_SCENE, ROOT, SEED_SCENE, SLOW, clean_env, wait_until
+from farm import BIN, Farm, GLASS_SCENE, ROOT, SEED_SCENE, SLOW, clean_env, tilery, wait_until
 
 OPENAPI = json.loads((ROOT / "master/web/openapi.json").read_text())
 TOKEN = "a long secret token"
@@ -669,6 +669,54 @@ def test_connections_that_say_nothing(farm, call):
     for s in idle:
         s.close()
     assert call("GET", "/healthz")[0] == 200
+
+
+def test_strangers_keep_nobody_out(tmp_path):
+    """More connections than there may be, all of which ask nothing: whoever asks is answered.
+
+    They kept the master's 1,000 connections for as long as they liked, and everybody out.
+    """
+    import resource
+    import socket
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, max(soft, 3000)), hard))
+    idle = []
+    try:
+        with Farm(tmp_path) as made:
+            host, port = made.http.split(":")
+            for i in range(1300):
+                idle.append(socket.create_connection((host, int(port)), timeout=10))
+                idle[-1].sendall([b"", b"GET / HT"][i % 2])
+            begin = time.monotonic()
+            for _ in range(3):
+                assert Client(made)("GET", "/healthz")[0] == 200
+            assert time.monotonic() - begin < 2 * SLOW
+            assert tilery("jobs", env=made.env()).returncode == 0
+    finally:
+        for s in idle:
+            s.close()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.parametrize("head", [
+    "Host: localhost\r\nHost: evil.example\r\nContent-Length: 5\r\n",
+    "Host: localhost\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n",
+    "Host: localhost\r\nContent-Length: 5\r\nContent-Length: 60\r\n"])
+def test_request_of_two_readings(farm, head):
+    """What a proxy in front may read another way is refused, and nothing is read after it."""
+    import socket
+    host, port = farm.http.split(":")
+    with socket.create_connection((host, int(port)), timeout=10 * SLOW) as s:
+        s.sendall(f"POST /api/v1/chunks/missing HTTP/1.1\r\n{head}\r\n".encode() + b"0\r\n\r\n"
+                  + b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n" * 20)
+        answers = b""
+        try:
+            while data := s.recv(65536):
+                answers += data
+        except ConnectionResetError:
+            pass
+    assert answers.startswith(b"HTTP/1.1 400 "), answers
+    assert answers.count(b"HTTP/1.1 ") == 1, answers
 
 
 def test_client_that_leaves_while_it_waits(farm, job):
