@@ -223,14 +223,22 @@ static struct job *job_of(struct request *r)
     return job;
 }
 
+/* Names the job as it is: changes are counted by each master anew. */
+enum { ETAG_BYTES = 48 };
+static void job_etag(struct request *r, const struct job *job, char out[ETAG_BYTES])
+{
+    (void)snprintf(out, ETAG_BYTES, "\"%" PRIu64 "-r%" PRIu64 "\"", events_epoch(r->farm->events),
+                   job->rev);
+}
+
 static void reply_report(struct request *r, const struct job *job, unsigned status)
 {
-    char tag[32];
+    char tag[ETAG_BYTES];
     struct buf b;
     buf_init(&b);
     put_report(&b, r->farm, job);
     request_reply(r, status, "application/json", &b);
-    (void)snprintf(tag, sizeof tag, "\"r%" PRIu64 "\"", job->rev);
+    job_etag(r, job, tag);
     request_header(r, "ETag", tag);
 }
 
@@ -561,8 +569,8 @@ void http_patch_job(struct request *r)
     struct http_change_body to;
     enum err e = http_body_change(&g, &to);
     const char *tag = request_head(r, "If-Match");
-    char current[32];
-    (void)snprintf(current, sizeof current, "\"r%" PRIu64 "\"", job->rev);
+    char current[ETAG_BYTES];
+    job_etag(r, job, current);
     if (e != ERR_OK)
         request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-change", "nothing was changed",
                          &problems);

@@ -361,6 +361,23 @@ def test_key_lives_a_day(tmp_path):
             assert again[0] == 201 and (again[1]["id"] == first) == same, hours
 
 
+def test_tag_of_an_earlier_master_is_stale(tmp_path):
+    """Changes are counted anew by each master: what was read from the one before is not what the same
+    count means now."""
+    with Farm(tmp_path) as farm:
+        path = f"/api/v1/jobs/{farm.submit(SEED_SCENE, *OPTIONS)}"
+        status, report, headers = Client(farm)("GET", path)
+        assert status == 200 and report["priority"] == 0
+        farm.master.end()
+        farm.start_master()
+        call, old = Client(farm), {"If-Match": headers["ETag"]}
+        for priority in range(1, 30):
+            assert call("PATCH", path, {"priority": priority})[0] == 200
+            assert call("PATCH", path, {"state": "cancelled"}, old)[0] == 412, priority
+        now = {"If-Match": call("GET", path)[2]["ETag"]}
+        assert call("PATCH", path, {"state": "cancelled"}, now)[0] == 200
+
+
 # --- Many jobs ----------------------------------------------------------------------------------
 
 
