@@ -389,7 +389,8 @@ static void test_t20_against_reference(void **state)
     static struct means reference, other;
     static double weight[REFERENCE_VALUES];
     const struct way plain = {.profile = JOB_PROFILE_NEE};
-    uint64_t reference_spp = (rows_long ? 1 << 16 : 1 << 12) / SEEDS, spp = reference_spp / 4;
+    uint64_t reference_spp = (UINT64_C(1) << (rows_long ? 16 : 12)) / SEEDS,
+             spp = reference_spp / 4;
     double tests = 3.0 * WAYS * REFERENCE_VALUES;
     bool all = true;
     struct scene s;
