@@ -412,7 +412,8 @@ uint32_t light_sample_points(const struct light_table *t, uint32_t count,
         there |= sample_sky_points(e, sky, points, s);
     } else {
         for (uint32_t k = 0; k < count; k++)
-            if (sky >> k & 1 && sample_environment(e, points[k].n, points[k].u, points[k].v, &s[k]))
+            if (sky >> k & 1 && sample_light(t, t->environment_light, points[k].p, points[k].n,
+                                             points[k].u, points[k].v, &s[k]))
                 there |= 1u << k;
     }
     for (uint32_t k = 0; k < count; k++)
