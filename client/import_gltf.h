@@ -79,8 +79,8 @@ void gltf_numbers(struct gltf *t, const struct json *v, const char *key, size_t 
 /* The bytes of a buffer view; false when it is out of range or its buffer cannot be had. */
 bool gltf_view(struct gltf *t, uint32_t view, const unsigned char **data, size_t *bytes);
 
-/* The elements of an accessor as doubles, `width` each; you own *out. NULL in *out when it is not
- * of that shape or out of range. ERR_NOMEM. */
+/* The elements of an accessor as doubles, `width` each, floats as they are: NaN and infinite too;
+ * you own *out. NULL in *out when it is not of that shape or out of range. ERR_NOMEM. */
 TL_NODISCARD enum err gltf_accessor(struct gltf *t, uint32_t accessor, uint32_t width, double **out,
                                     size_t *count);
 
@@ -89,8 +89,14 @@ TL_NODISCARD enum err gltf_data_uri(const char *uri, unsigned char **out, size_t
 /* A copy of a relative URI with %20 and the like as characters; NULL: out of memory. */
 TL_NODISCARD char *gltf_uri_path(const char *uri);
 
-/* Refuses buffers that are not there, and views and accessors that reach over their ends; adds up
- * the sizes of the buffers. */
+/* The largest entry of a node's transform: assimp multiplies them in float. */
+#define GLTF_TRANSFORM_MAX 1e30
+
+/* True if a quaternion is one of length 1 but for rounding; its length goes to *length. */
+bool gltf_is_rotation(const double turn[4], double *length);
+
+/* Refuses buffers that are not there, views and accessors that reach over their ends, and
+ * transforms that are none; adds up the sizes of the buffers. */
 TL_NODISCARD enum err gltf_check(struct gltf *t, uint64_t *buffer_bytes);
 
 /* Refuses hierarchies that are no trees, and fills order. */

@@ -1,5 +1,7 @@
-/* Does every buffer view lie in its buffer, every accessor in its view? assimp trusts much of it.
+/* Does every buffer view lie in its buffer, every accessor in its view? Are the nodes' transforms
+ * numbers that floats can be multiplied with? assimp trusts much of it.
  */
+#include <math.h>
 #include <string.h>
 #include <sys/stat.h>
 
@@ -9,6 +11,10 @@
 
 /* Elements of an accessor without bytes of its own, which costs nothing to write. */
 #define EMPTY_COUNT_MAX (1u << 24)
+
+/* How far the length of a node's rotation may be from 1: three decimals, as people write them, are
+ * 4e-4 off; what is off by more is no rotation but a mistake, and would scale or shear. */
+#define ROTATION_SLACK 0.01
 
 struct check {
     struct gltf *t;
@@ -235,6 +241,41 @@ static void check_skins(struct check *c)
     }
 }
 
+/* --- Nodes --------------------------------------------------------------- */
+
+/* Entries that are there lie within `limit`; they go to `out`. */
+static bool check_entries(struct check *c, const struct json *node, const char *key, size_t count,
+                          double limit, double *out)
+{
+    const struct json *v = json_get_member(node, key);
+    if (!v)
+        return true;
+    bool good = json_value_numbers(&c->t->g, v, count, -limit, limit, out);
+    c->failed |= !good;
+    return good;
+}
+
+bool gltf_is_rotation(const double turn[4], double *length)
+{
+    *length = sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2] + turn[3] * turn[3]);
+    return fabs(*length - 1) <= ROTATION_SLACK;
+}
+
+static void check_node(struct check *c, const struct json *node)
+{
+    double entries[16], turn[4] = {0, 0, 0, 1}, length;
+    (void)check_entries(c, node, "matrix", 16, GLTF_TRANSFORM_MAX, entries);
+    (void)check_entries(c, node, "translation", 3, GLTF_TRANSFORM_MAX, entries);
+    (void)check_entries(c, node, "scale", 3, GLTF_TRANSFORM_MAX, entries);
+    if (!check_entries(c, node, "rotation", 4, GLTF_TRANSFORM_MAX, turn))
+        return;
+    if (gltf_is_rotation(turn, &length))
+        return;
+    json_get_problem(&c->t->g, DIAG_ERROR, json_get_member(node, "rotation"), "bad-transform",
+                     "divide it by its length", "a quaternion of length %.6g, expected 1", length);
+    c->failed = true;
+}
+
 static enum err run(struct check *c)
 {
     const struct gltf_table *tables = c->t->tables;
@@ -253,6 +294,8 @@ static enum err run(struct check *c)
         check_meshes(c);
     if (!c->failed)
         check_skins(c);
+    for (size_t i = 0; i < tables[GLTF_NODES].count; i++)
+        check_node(c, tables[GLTF_NODES].items[i]);
     return c->failed ? ERR_INPUT : ERR_OK;
 }
 

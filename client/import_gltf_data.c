@@ -197,7 +197,7 @@ static double component_value(const unsigned char *at, const struct layout *l)
         return u32;
     default:
         memcpy(&f, at, sizeof f);
-        return isfinite(f) ? (double)f : 0;
+        return (double)f;
     }
 }
 

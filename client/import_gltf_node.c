@@ -33,11 +33,7 @@ static void from_trs(const double move[3], const double turn[4], const double sc
                      double m[16])
 {
     double x = turn[0], y = turn[1], z = turn[2], w = turn[3];
-    double length = sqrt(x * x + y * y + z * z + w * w);
-    if (!(length > 0)) {
-        x = y = z = 0;
-        w = length = 1;
-    }
+    double length = sqrt(x * x + y * y + z * z + w * w); /* about 1: see gltf_is_rotation */
     x /= length;
     y /= length;
     z /= length;
@@ -56,7 +52,7 @@ static void from_trs(const double move[3], const double turn[4], const double sc
 
 static void local_transform(struct gltf *t, const struct json *node, double m[16])
 {
-    const double limit = 1e30;
+    const double limit = GLTF_TRANSFORM_MAX; /* gltf_check has held them to it */
     double columns[16];
     if (json_get_member(node, "matrix")) {
         for (size_t i = 0; i < 16; i++)
@@ -315,6 +311,37 @@ static enum err add_copies(struct import *im, size_t object, const struct place 
     return ERR_OK;
 }
 
+/* The same of instances as of nodes: numbers that floats can be multiplied with, rotations of
+ * length 1. The first that is not is a problem that names it. */
+static bool check_copies(struct gltf *t, const struct json *attributes, double *const trs[3],
+                         size_t count)
+{
+    static const char *const keys[3] = {"TRANSLATION", "ROTATION", "SCALE"};
+    for (size_t k = 0; k < 3; k++) {
+        size_t width = k == 1 ? 4 : 3;
+        const struct json *at = json_get_member(attributes, keys[k]);
+        double length;
+        for (size_t i = 0; trs[k] && i < count; i++) {
+            const double *v = trs[k] + width * i;
+            if (k == 1 && !gltf_is_rotation(v, &length)) {
+                json_get_problem(&t->g, DIAG_ERROR, at, "bad-transform", NULL,
+                                 "of instance %zu of %zu a quaternion of length %.6g, expected 1",
+                                 i + 1, count, length);
+                return false;
+            }
+            for (size_t j = 0; j < width; j++)
+                if (!(fabs(v[j]) <= GLTF_TRANSFORM_MAX)) {
+                    json_get_problem(&t->g, DIAG_ERROR, at, "not-finite", NULL,
+                                     "%.6g of instance %zu of %zu, must be a finite number within "
+                                     "%g",
+                                     v[j], i + 1, count, GLTF_TRANSFORM_MAX);
+                    return false;
+                }
+        }
+    }
+    return true;
+}
+
 static enum err take_instances(struct walk *w, const struct place *p)
 {
     struct gltf *t = w->t;
@@ -330,10 +357,12 @@ static enum err take_instances(struct walk *w, const struct place *p)
         e = read_attribute(t, attributes, "ROTATION", 4, &trs[1], &count);
     if (e == ERR_OK)
         e = read_attribute(t, attributes, "SCALE", 3, &trs[2], &count);
+    if (e == ERR_OK && !check_copies(t, attributes, trs, count))
+        e = ERR_INPUT;
     for (size_t i = 0; i < objects && e == ERR_OK && count > 0; i++)
         if (is_at(t->im->scene.objects[i].transform, p->world))
             e = add_copies(t->im, i, p, trs, count);
-    if (count == 0)
+    if (count == 0 && e == ERR_OK)
         json_get_problem(&t->g, DIAG_WARNING, x, "left-out", NULL,
                          "its instances cannot be read; one is shown");
     for (int i = 0; i < 3; i++)

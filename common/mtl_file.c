@@ -53,6 +53,13 @@ static bool word_is(const char *word, size_t bytes, const char *known)
     return bytes == strlen(known) && strncasecmp(word, known, bytes) == 0;
 }
 
+/* The end of what a statement says: of the line, or a comment. */
+static bool at_values_end(struct parser *p)
+{
+    skip_blank(p);
+    return p->at == p->end || *p->at == '#';
+}
+
 /* One finite number; false leaves the place where it was. */
 static bool take_number(struct parser *p, double *out)
 {
@@ -93,7 +100,7 @@ static bool read_scalar(struct parser *p, const char *word, double low, double h
 {
     double v;
     if (!take_number(p, &v)) {
-        warn(p, "bad-number", "%s: expected a number", word);
+        warn(p, "bad-number", "%s: expected a finite number", word);
         return false;
     }
     *out = clamped(v, low, high);
@@ -104,16 +111,15 @@ static bool read_scalar(struct parser *p, const char *word, double low, double h
 static bool read_color(struct parser *p, const char *word, double out[3])
 {
     double v[3];
-    if (!take_number(p, &v[0])) {
-        warn(p, "bad-color", "%s: expected three numbers", word);
+    int count = 0;
+    while (count < 3 && take_number(p, &v[count]))
+        count++;
+    if (count < 3 && !(count == 1 && at_values_end(p))) {
+        warn(p, "bad-color", "%s: expected three finite numbers, or one", word);
         return false;
     }
-    if (!take_number(p, &v[1]))
+    if (count == 1)
         v[1] = v[2] = v[0];
-    else if (!take_number(p, &v[2])) {
-        warn(p, "bad-color", "%s: expected three numbers, found two", word);
-        return false;
-    }
     for (int i = 0; i < 3; i++)
         out[i] = clamped(v[i], 0, 1e9);
     return true;
@@ -129,6 +135,36 @@ static const struct {
     {"map_Pm", MTL_MAP_PM},
 };
 
+/* True if the next word is a number that we cannot use, and takes it, so that it is not part of a
+ * file's name: "nan", "-inf", 1e999. */
+static bool take_bad_number(struct parser *p)
+{
+    static const char *const words[] = {"nan", "inf", "infinity"};
+    const char *start = p->at, *word;
+    double v;
+    size_t bytes = take_word(p, &word);
+    size_t sign = bytes > 1 && (*word == '-' || *word == '+');
+    if (number_parse(word, word + bytes, &v) == word + bytes)
+        return true;
+    for (size_t i = 0; i < sizeof words / sizeof *words; i++)
+        if (word_is(word + sign, bytes - sign, words[i]))
+            return true;
+    p->at = start;
+    return false;
+}
+
+/* One to `most` numbers of a map's option; how many could be used. */
+static int take_option_numbers(struct parser *p, int most, double v[3])
+{
+    int count = 0;
+    while (count < most && take_number(p, &v[count]))
+        count++;
+    for (int i = count; i < most; i++)
+        if (take_bad_number(p) && i == count)
+            warn(p, "bad-number", "%s: expected a finite number", "an option of the map");
+    return count;
+}
+
 /* How many words follow an option of a map. -o -s -t take one to three numbers. */
 static void read_map_option(struct parser *p, const char *option, size_t bytes, struct mtl_map *map)
 {
@@ -136,9 +172,7 @@ static void read_map_option(struct parser *p, const char *option, size_t bytes, 
     const char *word;
     if (word_is(option, bytes, "-s") || word_is(option, bytes, "-o") ||
         word_is(option, bytes, "-t")) {
-        int count = 0;
-        while (count < 3 && take_number(p, &v[count]))
-            count++;
+        int count = take_option_numbers(p, 3, v);
         double *to = word_is(option, bytes, "-s")   ? map->scale
                      : word_is(option, bytes, "-o") ? map->offset
                                                     : NULL;
@@ -148,7 +182,7 @@ static void read_map_option(struct parser *p, const char *option, size_t bytes, 
         size_t n = take_word(p, &word);
         map->clamp = word_is(word, n, "on");
     } else if (word_is(option, bytes, "-bm")) {
-        if (take_number(p, &v[0]))
+        if (take_option_numbers(p, 1, v) == 1)
             map->bump = v[0];
     } else if (word_is(option, bytes, "-mm")) {
         (void)take_word(p, &word);
@@ -240,9 +274,9 @@ static void read_scalar_word(struct parser *p, const char *word, size_t bytes)
     else if (word_is(word, bytes, "illum") && read_scalar(p, "illum", 0, 10, &v))
         m->illum = (int)v;
     else if (word_is(word, bytes, "Pr"))
-        m->has_roughness = read_scalar(p, "Pr", 0, 1, &m->roughness);
+        m->has_roughness |= read_scalar(p, "Pr", 0, 1, &m->roughness);
     else if (word_is(word, bytes, "Pm"))
-        m->has_metallic = read_scalar(p, "Pm", 0, 1, &m->metallic);
+        m->has_metallic |= read_scalar(p, "Pm", 0, 1, &m->metallic);
     else if (word_is(word, bytes, "Ps"))
         (void)read_scalar(p, "Ps", 0, 1, &m->sheen);
     else if (word_is(word, bytes, "Pc"))

@@ -324,13 +324,28 @@ static void skip_rest_of_line(struct reader *r)
         r->at++;
 }
 
+/* Of an element by its number as people count, from 1; indices are told as the file has them. */
+static enum err element_problem(struct reader *r, const char *id, const struct element *e,
+                                uint64_t index, const char *what)
+{
+    char text[240];
+    (void)snprintf(text, sizeof text, "%s %llu of %llu: %s", e->name, (unsigned long long)index + 1,
+                   (unsigned long long)e->count, what);
+    return problem(r, id, text);
+}
+
 static enum err cut_short(struct reader *r, const struct element *e, uint64_t index)
 {
-    char text[160];
-    (void)snprintf(text, sizeof text, "%s %llu of %llu: %s", e->name, (unsigned long long)index + 1,
-                   (unsigned long long)e->count,
-                   r->at == r->end ? "the file ends here" : "expected a number");
-    return problem(r, "ply-data", text);
+    return element_problem(r, "ply-data", e, index,
+                           r->at == r->end ? "the file ends here" : "expected a number");
+}
+
+static void not_finite(struct reader *r, const struct element *e, uint64_t index, const char *name,
+                       double value)
+{
+    char text[120];
+    (void)snprintf(text, sizeof text, "%s is %.9g, must be a finite number", name, value);
+    (void)element_problem(r, "not-finite", e, index, text);
 }
 
 /* --- Vertices ------------------------------------------------------------ */
@@ -367,17 +382,23 @@ static void put_unit(const double n[3], float out[3])
     out[2] = (float)(z / length);
 }
 
-static void put_vertex(struct reader *r, size_t i, const double v[ROLE_COUNT])
+static void put_vertex(struct reader *r, const struct element *e, size_t i,
+                       const double v[ROLE_COUNT])
 {
+    static const char *const names[ROLE_COUNT] = {
+        [X] = "x", [Y] = "y", [Z] = "z", [U] = "u", [V] = "v"};
     struct scene_mesh *m = &r->mesh;
-    bool finite = true;
+    enum role bad = NONE; /* the first coordinate that is no number */
     for (size_t j = 0; j < 3; j++) {
         m->positions[3 * i + j] = v[X + j];
-        finite = finite && fabs(v[X + j]) <= SCENE_NUMBER_MAX;
+        if (bad == NONE && !(fabs(v[X + j]) <= SCENE_NUMBER_MAX))
+            bad = (enum role)(X + j);
     }
     for (size_t j = 0; m->uvs && j < 2; j++) {
-        m->uvs[2 * i + j] = (float)v[U + j];
-        finite = finite && fabs(v[U + j]) <= (double)FLT_MAX;
+        bool finite = fabs(v[U + j]) <= (double)FLT_MAX;
+        m->uvs[2 * i + j] = finite ? (float)v[U + j] : 0;
+        if (bad == NONE && !finite)
+            bad = (enum role)(U + j);
     }
     for (size_t j = 0; m->colors && j < 3; j++) {
         double max = r->color_max[j];
@@ -389,11 +410,8 @@ static void put_vertex(struct reader *r, size_t i, const double v[ROLE_COUNT])
     }
     if (m->normals)
         put_unit(v + NX, m->normals + 3 * i);
-    if (!finite) {
-        char text[100];
-        (void)snprintf(text, sizeof text, "vertex %zu: a coordinate is not finite", i);
-        (void)problem(r, "not-finite", text);
-    }
+    if (bad != NONE)
+        not_finite(r, e, i, names[bad], v[bad]);
 }
 
 static enum err read_vertices(struct reader *r, const struct element *e)
@@ -419,7 +437,7 @@ static enum err read_vertices(struct reader *r, const struct element *e)
         }
         skip_rest_of_line(r);
         if (!r->skim_vertices)
-            put_vertex(r, (size_t)i, v);
+            put_vertex(r, e, (size_t)i, v);
     }
     return ERR_OK;
 }
@@ -502,11 +520,10 @@ static enum err read_corners(struct reader *r, const struct element *e, uint64_t
         bool restart = p->strips && value == -1;
         if (!restart &&
             !(value >= 0 && value < (double)r->mesh.vertex_count && value == floor(value))) {
-            char text[160];
-            (void)snprintf(text, sizeof text, "%s %llu refers to vertex %.10g, expected 0 to %lld",
-                           e->name, (unsigned long long)index, value,
+            char text[120];
+            (void)snprintf(text, sizeof text, "index %.10g, expected 0 to %lld", value,
                            (long long)r->mesh.vertex_count - 1);
-            return problem(r, "index-out-of-range", text);
+            return element_problem(r, "index-out-of-range", e, index, text);
         }
         if (!mem_grow((void **)&r->list, r->list_count, &r->list_capacity, sizeof *r->list))
             return ERR_NOMEM;
@@ -519,13 +536,16 @@ static enum err read_corners(struct reader *r, const struct element *e, uint64_t
 static enum err read_wedges(struct reader *r, const struct element *e, uint64_t index,
                             const struct property *p, double count)
 {
-    for (double k = 0; k < count; k++) {
+    for (uint64_t k = 0; (double)k < count; k++) {
         double value;
         if (!take_value(r, p->type, &value))
             return cut_short(r, e, index);
         if (!mem_grow((void **)&r->wedges, r->wedge_count, &r->wedge_capacity, sizeof *r->wedges))
             return ERR_NOMEM;
-        r->wedges[r->wedge_count++] = fabs(value) <= (double)FLT_MAX ? value : 0;
+        bool finite = fabs(value) <= (double)FLT_MAX;
+        if (!finite)
+            not_finite(r, e, index, k % 2 ? "v of a corner" : "u of a corner", value);
+        r->wedges[r->wedge_count++] = finite ? value : 0;
     }
     return ERR_OK;
 }
@@ -556,7 +576,7 @@ static enum err read_list(struct reader *r, const struct element *e, uint64_t in
     if (!take_value(r, p->count_type, &count))
         return cut_short(r, e, index);
     if (!(count >= 0 && count <= (double)LIST_COUNT_MAX * 1024) || count != floor(count))
-        return problem(r, "ply-data", "a list has an impossible length");
+        return element_problem(r, "ply-data", e, index, "a list of an impossible length");
     if ((p->indices || p->strips) && !r->skim_faces)
         return read_corners(r, e, index, p, count);
     if (p->wedges && !r->skim_faces)

@@ -331,11 +331,59 @@ def test_vertices_in_integers(tmp_path, binary):
     ({"asset": {"version": "3.0"}}, "[gltf-version]"),
     ({"nodes": [{"mesh": 4}]}, "$.nodes[0].mesh"),
     ({"materials": [{"normalTexture": {"index": 3}}]}, "$.materials[0].normalTexture.index"),
+    ({"nodes": [{"mesh": 0, "translation": [0, 2e30, 0]}]}, "$.nodes[0].translation[1]"),
+    ({"nodes": [{"mesh": 0, "scale": [1, 1, -1e38]}]}, "$.nodes[0].scale[2]"),
+    ({"nodes": [{"mesh": 0, "matrix": [1e35, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}]},
+     "$.nodes[0].matrix[0]"),
+    ({"nodes": [{"mesh": 0}, {"rotation": [0, 0, 0, 0]}]}, "$.nodes[1].rotation"),
+    ({"nodes": [{"mesh": 0, "rotation": [1, 1, 1, 1]}]}, "$.nodes[0].rotation"),
+    ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0, 1e200]}]}, "$.nodes[0].rotation[3]"),
+    ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0]}]}, "$.nodes[0].rotation"),
 ])
 def test_damage_is_named(tmp_path, change, expected):
     _, said = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(**change)), status=3)
     assert expected in said and "nothing written" in said
     assert not (tmp_path / "scene.json").exists()
+
+
+def test_transforms_beyond_floats(tmp_path):
+    """Entries that floats hold, whose product down the hierarchy they do not: exact or refused."""
+    steps = [{"scale": [1e30, 1e30, 1e30], "children": [i + 1]} for i in range(4)]
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(
+        nodes=[*steps, {"mesh": 0}])))
+    assert scene["objects"][0]["transform"][0] == pytest.approx(1e120)
+    steps = [{"scale": [1e30, 1e30, 1e30], "children": [i + 1]} for i in range(9)]
+    _, said = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(
+        nodes=[*steps, {"mesh": 0}])), status=3)
+    assert "m.gltf" in said and "range of numbers" in said
+
+
+@pytest.mark.parametrize("key, values, expected", [
+    ("ROTATION", [0, 0, 0, 1, 0, 0, 0, 0], "of instance 2 of 2 a quaternion of length 0"),
+    ("ROTATION", [0, 0, 0, 1, 0, 0, 2, 2], "of instance 2 of 2 a quaternion of length 2.82"),
+    ("TRANSLATION", [0, 0, 0, 0, float("nan"), 0], "nan of instance 2 of 2"),
+    ("SCALE", [1, 1, float("inf"), 1, 1, 1], "inf of instance 1 of 2"),
+    ("SCALE", [1, 1, 1, 1, 1, -3e30], "-3e+30 of instance 2 of 2"),
+])
+def test_bad_instances(tmp_path, key, values, expected):
+    """Numbers of instances are in buffers, so NaN and infinity can be there."""
+    data = struct.pack(f"<{len(values)}f", *values)
+    model = triangle_gltf(nodes=[{"mesh": 0, "extensions": {
+        "EXT_mesh_gpu_instancing": {"attributes": {key: 2}}}}])
+    model["buffers"].append({"byteLength": len(data), "uri": "data:application/octet-stream;base64,"
+                             + base64.b64encode(data).decode()})
+    model["bufferViews"].append({"buffer": 1, "byteLength": len(data)})
+    model["accessors"].append({"bufferView": 2, "componentType": 5126, "count": 2,
+                               "type": "VEC4" if key == "ROTATION" else "VEC3"})
+    _, said = imported(tmp_path, write(tmp_path, "m.gltf", model), status=3)
+    assert expected in said and f"attributes.{key}" in said
+
+
+def test_rotations_of_three_decimals(tmp_path):
+    """Hand-written quaternions are a little off unit length: taken."""
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(
+        nodes=[{"mesh": 0, "rotation": [0, 0, 0.707, 0.707]}])))
+    assert scene["objects"][0]["transform"][1] == pytest.approx(-1, abs=1e-3)
 
 
 @pytest.mark.parametrize("data", [b"", b"junk in here", b"\0\1\2\3", b" [1]"])

@@ -80,8 +80,11 @@ if(TARGET tilery AND TARGET tilery-master AND TARGET tilery-worker)
   tilery_script_test(numerics_doctor LABEL numerics TIMEOUT 300
     COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider -k "not test_t04"
             ${numerics_dir}/test_numerics_doctor.py)
+  tilery_script_test(numerics_meshes LABEL numerics TIMEOUT 300
+    COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider
+            ${numerics_dir}/test_numerics_meshes.py)
   if(TILERY_TESTS) # also e2e: what runs under the sanitizers
-    set_tests_properties(numerics_doctor PROPERTIES LABELS "numerics;e2e")
+    set_tests_properties(numerics_doctor numerics_meshes PROPERTIES LABELS "numerics;e2e")
   endif()
   numerics_pytest(test_numerics_doctor.py test_t04_lost_precision_is_said)
   tilery_script_test(numerics_input LABEL numerics TIMEOUT 600

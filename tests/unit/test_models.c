@@ -507,6 +507,42 @@ static void ply_problems_are_named(void **state)
     }
 }
 
+/* Elements are counted from 1 in every message; an index is told as the file has it. */
+static void ply_problems_count_from_one(void **state)
+{
+    (void)state;
+    static const char head[] =
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nproperty float u\nproperty float v\nelement face 2\n"
+        "property list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n";
+    static const struct {
+        const char *rest, *id, *said;
+    } cases[] = {
+        {"0 0 0 0 0\n0 1e200 0 0 0\n1 1 0 0 0\n3 0 1 2 0\n3 0 1 2 0\n", "not-finite",
+         "vertex 2 of 3: y is 1e+200, must be a finite number"},
+        {"0 0 0 0 0\n0 1 0 0 1e39\n1 1 0 0 0\n3 0 1 2 0\n3 0 1 2 0\n", "not-finite",
+         "vertex 2 of 3: v is 1e+39, must be a finite number"},
+        {"0 0 0 0 0\n0 nan 0 0 0\n1 1 0 0 0\n3 0 1 2 0\n3 0 1 2 0\n", "ply-data",
+         "vertex 2 of 3: expected a number"},
+        {"0 0 0 0 0\n0 1 0 0 0\n1 1 0 0 0\n3 0 1 2 0\n3 0 1 3 0\n", "index-out-of-range",
+         "face 2 of 2: index 3, expected 0 to 2"},
+        {"0 0 0 0 0\n0 1 0 0 0\n1 1 0 0 0\n3 0 1 2 0\n-3 0 1 2 0\n", "ply-data",
+         "face 2 of 2: a list of an impossible length"},
+        {"0 0 0 0 0\n0 1 0 0 0\n1 1 0 0 0\n3 0 1 2 0\n3 0 1 2 6 0 0 0 1e999 0 0\n", "not-finite",
+         "face 2 of 2: v of a corner is inf, must be a finite number"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct loaded l;
+        char text[600];
+        int n = snprintf(text, sizeof text, "%s%s", head, cases[i].rest);
+        load_ply(&l, text, (size_t)n);
+        const struct diag *d = problem_find(&l.problems, cases[i].id, "m.ply");
+        assert_true(l.e == ERR_INPUT && d);
+        assert_string_equal(d->text, cases[i].said);
+        unload(&l);
+    }
+}
+
 static void ply_faces_may_come_first(void **state)
 {
     (void)state;
@@ -597,6 +633,7 @@ int main(void)
         cmocka_unit_test(ply_triangles_and_others_take_turns),
         cmocka_unit_test(ply_corners_have_coordinates),
         cmocka_unit_test(ply_problems_are_named),
+        cmocka_unit_test(ply_problems_count_from_one),
         cmocka_unit_test(ply_faces_may_come_first),
         cmocka_unit_test(memory_runs_out_cleanly),
         cmocka_unit_test(outside_models_load),

@@ -5,10 +5,12 @@
 #include <cmocka.h>
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "common/mem.h"
 #include "common/mtl_file.h"
+#include "tests/unit/problem_check.h"
 
 static struct mtl_library read_text(const char *text, size_t *warnings)
 {
@@ -112,6 +114,47 @@ static void warns_of_nonsense_and_keeps_values(void **state)
     mtl_release(&l);
 }
 
+/* A number that is none is said with its line, and keeps nothing: "Kd 0.5 nan 0.5" was a grey, and
+ * of "-bm inf a.png" the file was called "inf a.png". */
+static void says_numbers_that_are_none(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *line, *id;
+    } cases[] = {
+        {"Kd 0.5 nan 0.5", "bad-color"},
+        {"Kd 0.5 0.5 inf", "bad-color"},
+        {"Kd -inf 0.5 0.5", "bad-color"},
+        {"Ke 1 1e999 1", "bad-color"},
+        {"Ks 0.5 x", "bad-color"},
+        {"Ns inf", "bad-number"},
+        {"Ni NaN", "bad-number"},
+        {"d -Infinity", "bad-number"},
+        {"Pr 1e200", "bad-number"},
+        {"map_Kd -s nan 1 1 a.png", "bad-number"},
+        {"map_Kd -o 1 inf a.png", "bad-number"},
+        {"map_Kd -bm -nan a.png", "bad-number"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        char text[120];
+        struct mtl_library l;
+        struct diag_list problems;
+        int n = snprintf(text, sizeof text, "newmtl a\nPr 0.25\n%s\n", cases[i].line);
+        diag_init(&problems);
+        assert_int_equal(mtl_read(text, (size_t)n, "a.mtl", &l, &problems), ERR_OK);
+        const struct diag *d = problem_find(&problems, cases[i].id, "a.mtl");
+        if (!d || d->line != 3 || problems.warning_count != 1)
+            fail_msg("%s: %zu warnings", cases[i].line, problems.warning_count);
+        const struct mtl_material *m = &l.materials[0];
+        const struct mtl_map *map = &m->maps[MTL_MAP_KD];
+        assert_true(!m->has_kd && m->kd[0] == 0.8 && m->opacity == 1 && m->roughness == 0.25);
+        assert_true(m->has_roughness && isfinite(map->scale[0]) && isfinite(map->bump));
+        assert_true(strncmp(cases[i].line, "map", 3) != 0 || strcmp(map->path, "a.png") == 0);
+        mtl_release(&l);
+        diag_release(&problems);
+    }
+}
+
 /* Every cut of a library gives a library, and nothing is read past the end. */
 static void takes_any_cut(void **state)
 {
@@ -160,6 +203,7 @@ int main(void)
         cmocka_unit_test(reads_physical_words),
         cmocka_unit_test(lines_may_end_as_on_old_machines),
         cmocka_unit_test(warns_of_nonsense_and_keeps_values),
+        cmocka_unit_test(says_numbers_that_are_none),
         cmocka_unit_test(takes_any_cut),
         cmocka_unit_test(survives_lack_of_memory),
     };
