@@ -29,12 +29,15 @@ static bool pass_ray(const struct render_scene *scene, struct render_scratch *w,
     if (w->hits[i].object == SCENE_NONE)
         return false;
     double opacity = shade_opacity(scene, &w->hits[i]);
-    double u[SAMPLER_SET_VALUES] = {0};
-    if (opacity < 1)
-        sampler_set(&path->sampler, WAVE_SET_PASS + path->passes, u);
-    if (u[0] < opacity || path->passes >= WAVE_PASSES_MAX)
+    if (!(opacity < 1) || path->asked >= WAVE_PASSES_MAX)
         return false;
-    path->passes++;
+    double u[SAMPLER_SET_VALUES] = {0};
+    /* Every surface has a number of its own, whether it lets the path through or not. */
+    if (opacity > 0)
+        sampler_set(&path->sampler, WAVE_SET_PASS + path->asked, u);
+    path->asked++;
+    if (u[0] < opacity)
+        return false;
     pass_through(scene, &w->hits[i], &w->rays[i], NULL);
     return true;
 }

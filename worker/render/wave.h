@@ -33,7 +33,7 @@ struct path {
     vec3 org, n;    /* where the last direction left from, and light_sample's n there */
     uint32_t candidates; /* that light sampling drew there */
     double light_u[2];   /* where on a light the next vertex looks */
-    uint32_t passes;     /* surfaces gone straight through, by alpha */
+    uint32_t asked;      /* surfaces met that are not quite opaque */
     uint32_t x, y;       /* pixel of the full picture */
 };
 
@@ -91,10 +91,11 @@ enum {
                             candidate */
     WAVE_SETS_PER_VERTEX = 2,
     WAVE_SET_SHARE = 1 << 29, /* roulette of reuse */
-    WAVE_SET_PASS = 1 << 30,  /* opacity of the first surface gone through, and so on */
+    WAVE_SET_PASS = 1 << 30,  /* opacity of the first surface that is asked, and so on */
 };
 
-/* A ray that has gone through this many surfaces is held by the next. */
+/* A path that has met so many surfaces that are not quite opaque, and a shadow ray that has gone
+ * through so many, are held by the next. */
 enum { WAVE_PASSES_MAX = 1024 };
 
 /* Casts the rays under way; where alpha lets a ray through, it goes on until something holds it. */
