@@ -432,6 +432,31 @@ static void spheres_are_the_same_in_all_vectors(void **state)
     }
 }
 
+/* A sphere sends nothing into itself, even one that lets half of the light through. Points on it
+ * once saw it from outside when a rounding said so, and took the light of their own other side. */
+static void spheres_do_not_light_themselves(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s);
+    uint32_t grey = kit_diffuse(&s, 0.6, 0.6, 0.6);
+    s.materials[grey].twosided = s.materials[grey].alpha_used = true;
+    s.materials[grey].alpha = 0.5;
+    s.materials[grey].alpha_cutoff = -1;
+    kit_emit(&s, kit_sphere(&s, 3, 0.1, -0.2, 0.7, grey), 5, 5, 5);
+    kit_sphere(&s, -4, 0, 0, 1, SCENE_NONE); /* black; moves the middle of the scene */
+    memcpy(s.camera.position, (const double[]){3.1, 0.2, -0.1}, sizeof s.camera.position);
+    s.camera.fov = 90;
+    for (int profile = 0; profile < JOB_PROFILE_COUNT; profile++) {
+        struct job_spec spec = kit_spec(32, 16);
+        spec.profile = (enum job_profile)profile;
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_true(kit_picture_mean(&p) == 0);
+        kit_picture_free(&p);
+    }
+    scene_release(&s);
+}
+
 /* Mean weight 1, and weighted samples have the filter's moments. */
 static void filters_are_drawn_as_they_are(void **state)
 {
@@ -485,6 +510,7 @@ int main(void)
         cmocka_unit_test(candidates_have_the_bits_of_one),
         cmocka_unit_test(batches_are_the_same_in_all_vectors),
         cmocka_unit_test(spheres_are_the_same_in_all_vectors),
+        cmocka_unit_test(spheres_do_not_light_themselves),
         cmocka_unit_test(filters_are_drawn_as_they_are),
         cmocka_unit_test(polynomials_are_sines),
     };

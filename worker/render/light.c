@@ -41,11 +41,11 @@ static bool sample_area(const struct light *l, vec3 p, double u, double v, struc
 }
 
 /* 1 - cos of the half angle under which p sees the sphere, without cancellation; 0 if p is not
- * outside. */
+ * outside, or on it but for roundings. */
 static double sphere_cap(const struct light *l, double distance2)
 {
-    double sin2 = l->radius * l->radius / distance2;
-    return sin2 < 1 ? sin2 / (1 + sqrt(1 - sin2)) : 0;
+    double reach = l->radius + l->error, sin2 = l->radius * l->radius / distance2;
+    return reach * reach < distance2 ? sin2 / (1 + sqrt(1 - sin2)) : 0;
 }
 
 /* False if p does not see the sphere from outside. */
