@@ -253,7 +253,7 @@ static void check_rules(void)
     uint32_t masked = kit_material(&s, SCENE_MATERIAL_DIFFUSE, &m); /* reads an opaque alpha */
     m->texture = opaque;
     m->alpha_used = true;
-    add_quad(&s, 0, masked);
+    kit_emit(&s, add_quad(&s, 0, masked), 1, 1, 1); /* one light of two triangles, either way */
     uint32_t rough = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
     m->texture = color; /* its alpha is not read */
     m->metallic_roughness_texture = packed;
@@ -306,7 +306,9 @@ static void check_colors(void)
     add_colors(&s, add_quad(&s, -1, kit_diffuse(&s, 0.5, 0.5, 0.5)));
     uint32_t veil = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
     m->vertex_colors = m->alpha_used = true;
-    add_colors(&s, add_quad(&s, 0.5, veil));
+    uint32_t lamp = add_quad(&s, 0.5, veil);
+    add_colors(&s, lamp);
+    kit_emit(&s, lamp, 1, 1, 1);
     scene_check(&s);
     struct package p = check_scene("colours", &s);
     expect(&p, PACKAGE_LEFT_COLORS, 6);

@@ -61,6 +61,14 @@ struct material {
     double alpha_cutoff; /* < 0: blends */
 };
 
+/* How opaque the surface is, 0 to 1, where picture and vertices together say `alpha`. */
+static inline double material_opacity(const struct material *m, double alpha)
+{
+    alpha *= m->alpha;
+    alpha = alpha > 0 ? (alpha < 1 ? alpha : 1) : 0;
+    return m->alpha_cutoff < 0 ? alpha : alpha >= m->alpha_cutoff;
+}
+
 /* Fills the tables that a principled material needs, from its other fields. */
 void principled_prepare(struct material *m);
 

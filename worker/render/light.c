@@ -3,6 +3,7 @@
 #include "worker/render/lanes.h"
 #include "worker/render/sky_batch.h"
 #include "worker/render/sphere_parts.h"
+#include "worker/render/surface.h"
 #include "worker/render/warp.h"
 
 _Static_assert((int)LIGHT_POINTS_MAX == (int)SKY_BATCH, "points fill a batch of the sky");
@@ -10,14 +11,46 @@ _Static_assert((int)LIGHT_POINTS_MAX == (int)SKY_BATCH, "points fill a batch of 
 /* So few are done one by one. */
 enum { SKY_BATCH_LEAST = 3 };
 
+/* Where picture and vertices say `u`, `v` and `alpha`. */
+static rgb emission_at(const struct light *l, double u, double v, double alpha)
+{
+    const struct light_surface *s = l->surface;
+    rgb radiance = l->radiance;
+    if (s->emission)
+        radiance = rgb_mul(radiance, texture_color(s->emission, u, v));
+    if (!s->material)
+        return radiance;
+    if (s->color)
+        alpha *= texture_alpha(s->color, u, v);
+    return rgb_scale(radiance, material_opacity(s->material, alpha));
+}
+
 rgb light_emission(const struct light *l, double b1, double b2)
 {
-    if (!l->texture)
+    const struct light_surface *s = l->surface;
+    if (!s)
         return l->radiance;
     double b0 = 1 - b1 - b2;
-    double u = b0 * (double)l->uv[0] + b1 * (double)l->uv[2] + b2 * (double)l->uv[4];
-    double v = b0 * (double)l->uv[1] + b1 * (double)l->uv[3] + b2 * (double)l->uv[5];
-    return rgb_mul(l->radiance, texture_color(l->texture, u, v));
+    double u = b0 * (double)s->uv[0] + b1 * (double)s->uv[2] + b2 * (double)s->uv[4];
+    double v = b0 * (double)s->uv[1] + b1 * (double)s->uv[3] + b2 * (double)s->uv[5];
+    double alpha =
+        b0 * (double)s->alphas[0] + b1 * (double)s->alphas[1] + b2 * (double)s->alphas[2];
+    return emission_at(l, u, v, alpha);
+}
+
+rgb light_sphere_emission(const struct light *l, vec3 n)
+{
+    double u, v;
+    if (!l->surface)
+        return l->radiance;
+    surface_sphere_uv(n, &u, &v);
+    return emission_at(l, u, v, 1);
+}
+
+/* What a sphere sends out from a point beside it. */
+static rgb sphere_emission_at(const struct light *l, vec3 p)
+{
+    return l->surface ? light_sphere_emission(l, v3_unit(v3_sub(p, l->v0))) : l->radiance;
 }
 
 /* A point of a triangle or parallelogram. */
@@ -66,7 +99,7 @@ static bool sample_sphere(const struct light *l, vec3 p, double u, double v, str
     if (!sphere_view_of(l, p, &view))
         return false;
     sphere_draw(&view, p, l->v0, l->radius, l->error, u, v, &s->wi, &s->target, &s->pdf);
-    s->radiance = l->radiance;
+    s->radiance = sphere_emission_at(l, s->target);
     return true;
 }
 
@@ -317,10 +350,11 @@ static uint32_t sample_spheres(const struct light_table *t, vec3 p, uint32_t sph
     loops[lanes_level()](p, &b);
     for (uint32_t rest = there; rest; rest &= rest - 1) {
         uint32_t k = (uint32_t)__builtin_ctz(rest);
-        s[k] = (struct light_sample){.wi = lane_of(b.wi, k),
-                                     .target = lane_of(b.target, k),
-                                     .radiance = t->lights[lights[k]].radiance,
-                                     .pdf = b.pdf[k]};
+        s[k] = (struct light_sample){
+            .wi = lane_of(b.wi, k),
+            .target = lane_of(b.target, k),
+            .radiance = sphere_emission_at(&t->lights[lights[k]], lane_of(b.target, k)),
+            .pdf = b.pdf[k]};
     }
     return there;
 }

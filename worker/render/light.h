@@ -3,8 +3,9 @@
  * A table of lights in scene space: triangles and parallelograms (two triangles of a
  * mesh that make one), spheres (sampled by the solid angle they fill), points, spots,
  * distant lights, and the environment. Area lights emit on the side of their normal
- * only. light_pdf gives the density with which light_sample draws a direction, the
- * choice of the light included, for multiple importance sampling.
+ * only, and as much as they are opaque: a ray that finds one by chance goes through for
+ * the rest. What is clear all over is none. light_pdf gives the density with which light_sample
+ * draws a direction, the choice of the light included, for multiple importance sampling.
  *
  * Two or more lights with a place are chosen by a tree (light_tree.h).
  *
@@ -13,6 +14,7 @@
 #ifndef WORKER_RENDER_LIGHT_H
 #define WORKER_RENDER_LIGHT_H
 
+#include "worker/render/bsdf.h"
 #include "worker/render/distribution.h"
 #include "worker/render/light_tree.h"
 #include "worker/render/sky.h"
@@ -29,18 +31,27 @@ enum light_type {
     LIGHT_ENVIRONMENT,
 };
 
+/* What makes an area light differ from point to point. */
+struct light_surface {
+    const struct texture *emission;  /* times radiance; NULL: none */
+    const struct material *material; /* whose opacity differs; NULL: it is in the radiance */
+    const struct texture *color;     /* of the material, with its opacity; NULL: none */
+    float uv[6];                     /* of a triangle's corners */
+    float alphas[3];                 /* and their opacity */
+};
+
 struct light {
     enum light_type type;
-    rgb radiance;    /* area: radiance; point, spot: intensity; distant: irradiance */
+    rgb radiance;    /* area: radiance, times an opacity that is the same all over; point, spot:
+                        intensity; distant: irradiance */
     vec3 v0, e1, e2; /* triangle, quad; v0: centre of a sphere, place of a point */
     vec3 n;          /* unit: normal of the area; direction of travel of spot and distant light */
     double area;
     double radius; /* sphere */
     double error;  /* of points on the area, along n */
     double cos_inner, cos_outer;
-    const struct texture *texture; /* triangle: times radiance; NULL: none */
-    float uv[6];                   /* of its corners, when it has a texture */
-    double probability;            /* of being chosen; of the tree's lights unused */
+    const struct light_surface *surface; /* triangle, sphere; NULL: the same everywhere */
+    double probability;                  /* of being chosen; of the tree's lights unused */
 };
 
 /* The sky: a texture on the sphere of directions. */
@@ -109,8 +120,11 @@ static inline bool light_has_place(const struct light *l)
     return l->type != LIGHT_DISTANT && l->type != LIGHT_ENVIRONMENT;
 }
 
-/* Radiance of an area light at the weights of its vertices 1 and 2. */
+/* What an area light sends out at the weights of its vertices 1 and 2: radiance times opacity. */
 rgb light_emission(const struct light *l, double b1, double b2);
+
+/* The same of a sphere where its unit normal is n. */
+rgb light_sphere_emission(const struct light *l, vec3 n);
 
 /* Radiance of the sky at a point of its map. */
 rgb environment_lookup(const struct environment *e, double u, double v);

@@ -82,8 +82,7 @@ double shade_opacity(const struct render_scene *scene, const struct hit *hit)
     }
     if (m->vertex_colors)
         alpha *= surface_vertex_alpha(scene, hit);
-    alpha = clamp01(alpha * m->alpha);
-    return m->alpha_cutoff < 0 ? alpha : alpha >= m->alpha_cutoff;
+    return material_opacity(m, alpha);
 }
 
 /* The squared roughness of facets of which a tilt by that cosine is the usual one (eq. 6). */

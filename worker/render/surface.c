@@ -149,6 +149,14 @@ static void surface_of_triangle(const struct render_scene *scene,
     }
 }
 
+void surface_sphere_uv(vec3 n, double *u, double *v)
+{
+    double phi = dmath_atan2(n.y, n.x);
+    double z = n.z < -1 ? -1 : n.z > 1 ? 1 : n.z;
+    *u = (phi < 0 ? phi + 2 * VEC_PI : phi) / (2 * VEC_PI);
+    *v = dmath_acos(z) / VEC_PI;
+}
+
 static void surface_of_sphere(const struct render_scene *scene, const struct render_object *object,
                               const struct hit *hit, struct surface *s)
 {
@@ -159,10 +167,7 @@ static void surface_of_sphere(const struct render_scene *scene, const struct ren
     if (scene->materials[object->material].vertex_colors)
         s->color = rgb_grey(1);
     if (scene->materials[object->material].needs_uv) {
-        double phi = dmath_atan2(s->ng.y, s->ng.x);
-        double z = s->ng.z < -1 ? -1 : s->ng.z > 1 ? 1 : s->ng.z;
-        s->u = (phi < 0 ? phi + 2 * VEC_PI : phi) / (2 * VEC_PI);
-        s->v = dmath_acos(z) / VEC_PI;
+        surface_sphere_uv(s->ng, &s->u, &s->v);
         s->dpdu = v3(-s->ng.y, s->ng.x, 0);
         s->handed = 1;
     }

@@ -25,6 +25,9 @@ struct surface {
 /* What `hit` of a ray in scene space hit. */
 void surface_of_hit(const struct render_scene *scene, const struct hit *hit, struct surface *out);
 
+/* The coordinates of a picture on a sphere where its unit normal is n. */
+void surface_sphere_uv(vec3 n, double *u, double *v);
+
 /* How opaque the vertices of the mesh make a hit; 1 where they say nothing. */
 double surface_vertex_alpha(const struct render_scene *scene, const struct hit *hit);
 

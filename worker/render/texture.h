@@ -37,6 +37,7 @@ struct texture_level {
 struct texture_image {
     enum scene_image_format format;
     uint32_t channel_count;
+    bool opaque;          /* no opacity is looked up, or it is 1 everywhere */
     uint32_t level_count; /* 1: no pyramid */
     struct texture_level levels[TEXTURE_LEVELS_MAX];
 };

@@ -190,6 +190,18 @@ static enum err copy_tiled(struct render_scene *rs, const struct scene_image *fr
     return ERR_OK;
 }
 
+/* True if the picture has no opacity, or 1 everywhere. */
+static bool is_opaque(const struct scene_image *image)
+{
+    const float *floats = image->pixels;
+    const unsigned char *bytes = image->pixels;
+    size_t count = image->channel_count < 4 ? 0 : (size_t)image->width * image->height;
+    for (size_t i = 0; i < count; i++)
+        if (image->format == SCENE_IMAGE_F32 ? floats[4 * i + 3] != 1 : bytes[4 * i + 3] != 255)
+            return false;
+    return true;
+}
+
 static void mark(const struct scene *scene, uint32_t texture, bool weighed, struct image_use *uses)
 {
     if (texture == SCENE_NONE || scene->textures[texture].type != SCENE_TEXTURE_IMAGE)
@@ -231,6 +243,7 @@ enum err scene_build_images(struct render_scene *rs, const struct scene *scene,
         if (!uses[i].used)
             continue;
         e = copy_tiled(rs, &scene->images[i], &images[i]);
+        images[i].opaque = !uses[i].weighed || is_opaque(&scene->images[i]);
         if (e == ERR_OK && uses[i].pyramid)
             e = add_pyramid(rs, &images[i], uses[i].weighed);
     }

@@ -5,8 +5,8 @@
 #include "common/dmath.h"
 #include "worker/render/warp.h"
 
-/* The least that a textured light counts, of what it would without its texture. */
-static const double TEXTURE_FLOOR = 0.01;
+/* The least that a light counts that is not the same everywhere, of what it would if it were. */
+static const double SURFACE_FLOOR = 0.01;
 
 /* So many lights with a place are chosen by a tree. */
 enum { TREE_LIGHTS_MIN = 2 };
@@ -78,62 +78,129 @@ static bool quad_light(const struct render_mesh *m, size_t t, struct light *l)
     return false;
 }
 
-static void texture_light(const struct render_mesh *m, size_t triangle,
-                          const struct texture *texture, struct light *l)
-{
-    l->texture = texture;
-    for (size_t k = 0; k < 3; k++) {
-        const float *uv = m->uvs + 2 * (size_t)m->indices[3 * triangle + k];
-        l->uv[2 * k] = uv[0];
-        l->uv[2 * k + 1] = uv[1];
-    }
-}
-
-/* Mean luminance of a light with a texture, from a few points; never zero, since what the points
- * miss may shine. */
-static double textured_luminance(const struct light *l)
+/* Mean luminance of a light that is not the same everywhere, from a few points; never zero, since
+ * what the points miss may shine. */
+static double surface_luminance(const struct light *l)
 {
     enum { SIDE = 4 };
     double sum = 0;
     for (int k = 0; k < SIDE * SIDE; k++) {
-        double b1, b2;
-        warp_triangle((k % SIDE + 0.5) / SIDE, (k / SIDE + 0.5) / SIDE, &b1, &b2);
-        sum += rgb_luminance(light_emission(l, b1, b2));
+        double u = (k % SIDE + 0.5) / SIDE, v = (k / SIDE + 0.5) / SIDE, b1, b2;
+        warp_triangle(u, v, &b1, &b2);
+        rgb sent = l->type == LIGHT_SPHERE ? light_sphere_emission(l, warp_sphere(u, v))
+                                           : light_emission(l, b1, b2);
+        sum += rgb_luminance(sent);
     }
-    double floor_value = TEXTURE_FLOOR * rgb_luminance(l->radiance);
+    double floor_value = SURFACE_FLOOR * rgb_luminance(l->radiance);
     double mean = sum / (SIDE * SIDE);
     return mean > floor_value ? mean : floor_value;
 }
 
-/* Appends the lights of an emitting mesh; light_of[triangle] names each triangle's. */
-static void add_mesh_lights(struct render_scene *rs, const struct render_object *o,
-                            uint32_t *light_of)
+/* The picture in which the opacity of an object differs from point to point; NULL: in none. */
+static const struct texture *opacity_picture(const struct render_scene *rs,
+                                             const struct render_object *o)
 {
-    struct light_table *table = &rs->lights;
-    const struct render_mesh *m = &rs->meshes[o->mesh];
-    bool textured = o->emission_texture != SCENE_NONE;
-    for (size_t t = 0; t < m->triangle_count; t++) {
-        struct light *l = &table->lights[table->count];
-        light_of[t] = SCENE_NONE;
-        if (!triangle_light(m, t, o->radiance, l))
-            continue;
-        light_of[t] = (uint32_t)table->count;
-        if (textured)
-            texture_light(m, t, &rs->textures[o->emission_texture], l);
-        else if (t + 1 < m->triangle_count && quad_light(m, t, l))
-            light_of[++t] = (uint32_t)table->count;
-        table->count++;
+    const struct material *m = &rs->materials[o->material];
+    if (!m->has_alpha || m->texture == SCENE_NONE)
+        return NULL;
+    const struct texture *t = &rs->textures[m->texture];
+    return t->type == SCENE_TEXTURE_IMAGE && !t->image->opaque ? t : NULL;
+}
+
+/* The opacities of the vertices of an object, if they count. */
+static const float *opacity_vertices(const struct render_scene *rs, const struct render_object *o)
+{
+    const struct material *m = &rs->materials[o->material];
+    bool counts = o->type != ACCEL_SPHERE && m->has_alpha && m->vertex_colors;
+    return counts ? rs->meshes[o->mesh].alphas : NULL;
+}
+
+/* What an object sends out where it emits all it can: its opacity is a part of that if it is the
+ * same everywhere. */
+static rgb radiance_of(const struct render_scene *rs, const struct render_object *o)
+{
+    const struct material *m = &rs->materials[o->material];
+    if (!m->has_alpha || opacity_picture(rs, o) || opacity_vertices(rs, o))
+        return o->radiance;
+    return rgb_scale(o->radiance, material_opacity(m, 1));
+}
+
+/* What differs over an object; its corners are for the triangles to set. False if nothing. */
+static bool surface_of(const struct render_scene *rs, const struct render_object *o,
+                       struct light_surface *out)
+{
+    *out = (struct light_surface){.color = opacity_picture(rs, o), .alphas = {1, 1, 1}};
+    if (o->emission_texture != SCENE_NONE)
+        out->emission = &rs->textures[o->emission_texture];
+    if (out->color || opacity_vertices(rs, o))
+        out->material = &rs->materials[o->material];
+    return out->emission || out->material;
+}
+
+/* Sets what is a triangle's own. */
+static void set_corners(const struct render_mesh *m, size_t triangle, const float *alphas,
+                        struct light_surface *s)
+{
+    for (size_t k = 0; k < 3; k++) {
+        size_t vertex = m->indices[3 * triangle + k];
+        if (m->uvs) {
+            s->uv[2 * k] = m->uvs[2 * vertex];
+            s->uv[2 * k + 1] = m->uvs[2 * vertex + 1];
+        }
+        if (alphas)
+            s->alphas[k] = alphas[vertex];
     }
 }
 
-static struct light sphere_light(const struct render_object *o)
+/* Appends the lights of an emitting mesh; light_of[triangle] names each triangle's. */
+static enum err add_mesh_lights(struct render_scene *rs, const struct render_object *o,
+                                uint32_t *light_of)
 {
-    return (struct light){.type = LIGHT_SPHERE,
-                          .radiance = o->radiance,
-                          .v0 = o->center,
-                          .radius = o->radius,
-                          .area = 4 * VEC_PI * o->radius * o->radius,
-                          .error = POINT_ERROR * (v3_abs_max(o->center) + o->radius)};
+    struct light_table *table = &rs->lights;
+    const struct render_mesh *m = &rs->meshes[o->mesh];
+    rgb radiance = radiance_of(rs, o);
+    struct light_surface all, *surfaces = NULL;
+    if (surface_of(rs, o, &all)) {
+        surfaces = arena_alloc(&rs->arena, m->triangle_count, sizeof *surfaces);
+        if (!surfaces)
+            return ERR_NOMEM;
+    }
+    for (size_t t = 0; t < m->triangle_count; t++) {
+        struct light *l = &table->lights[table->count];
+        light_of[t] = SCENE_NONE;
+        if (!triangle_light(m, t, radiance, l))
+            continue;
+        light_of[t] = (uint32_t)table->count;
+        if (surfaces) {
+            surfaces[t] = all;
+            set_corners(m, t, opacity_vertices(rs, o), &surfaces[t]);
+            l->surface = &surfaces[t];
+        } else if (t + 1 < m->triangle_count && quad_light(m, t, l)) {
+            light_of[++t] = (uint32_t)table->count;
+        }
+        table->count++;
+    }
+    return ERR_OK;
+}
+
+static enum err add_sphere_light(struct render_scene *rs, const struct render_object *o)
+{
+    struct light *l = &rs->lights.lights[rs->lights.count++];
+    struct light_surface all, *surface = NULL;
+    if (surface_of(rs, o, &all)) {
+        surface = arena_alloc(&rs->arena, 1, sizeof *surface);
+        if (!surface)
+            return ERR_NOMEM;
+        *surface = all;
+    }
+    *l = (struct light){.type = LIGHT_SPHERE,
+                        .radiance = radiance_of(rs, o),
+                        .surface = surface,
+                        .v0 = o->center,
+                        .radius = o->radius,
+                        .area = 4 * VEC_PI * o->radius * o->radius,
+                        .error = POINT_ERROR * (v3_abs_max(o->center) + o->radius)};
+    return ERR_OK;
 }
 
 static struct light punctual_light(const struct render_scene *rs, const struct scene_light *from)
@@ -169,7 +236,7 @@ static double light_power(const struct light *l, const struct environment *sky)
         return 4 * VEC_PI * VEC_PI * value * mean;
     }
     default:
-        return VEC_PI * l->area * (l->texture ? textured_luminance(l) : value);
+        return VEC_PI * l->area * (l->surface ? surface_luminance(l) : value);
     }
 }
 
@@ -180,7 +247,7 @@ static enum err allocate(struct render_scene *rs, const struct scene *scene,
     size_t primitives = 0;
     for (size_t i = 0; i < rs->object_count; i++) {
         struct render_object *o = &rs->objects[i];
-        if (rgb_is_black(o->radiance))
+        if (rgb_is_black(radiance_of(rs, o)))
             continue;
         o->light_begin = (uint32_t)primitives;
         primitives += o->type == ACCEL_SPHERE ? 1 : rs->meshes[o->mesh].triangle_count;
@@ -284,9 +351,9 @@ enum err scene_build_lights(struct render_scene *rs, const struct scene *scene)
         uint32_t *light_of = object_lights + o->light_begin;
         if (o->type == ACCEL_SPHERE) {
             *light_of = (uint32_t)t->count;
-            t->lights[t->count++] = sphere_light(o);
+            TL_TRY(add_sphere_light(rs, o));
         } else {
-            add_mesh_lights(rs, o, light_of);
+            TL_TRY(add_mesh_lights(rs, o, light_of));
         }
     }
     t->any_hittable = t->count > 0 || t->environment.present;
