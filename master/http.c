@@ -186,6 +186,7 @@ void request_reply(struct request *r, unsigned status, const char *type, struct 
 
 void request_stream(struct request *r, struct MHD_Response *response)
 {
+    r->streams = true;
     answer(r, MHD_HTTP_OK, "text/event-stream", response);
 }
 
@@ -510,6 +511,11 @@ static void take_body(struct request *r, const char *data, size_t bytes)
     buf_put(&r->body, data, bytes);
     r->http->body_bytes += bytes;
     r->body_counted += bytes;
+    r->body_progress += bytes;
+    if (r->body_progress >= HTTP_PROGRESS_BYTES) {
+        r->body_progress = 0;
+        http_guest_idle(r->http, r->connection);
+    }
     if (buf_status(&r->body) != ERR_OK)
         request_error(r, ERR_NOMEM);
 }
@@ -520,6 +526,8 @@ static enum MHD_Result queue_answer(struct request *r)
         /* Out of memory even for the problem: end the connection. */
         return MHD_NO;
     }
+    if (!r->streams)
+        http_guest_reads(r->http, r->connection);
     return MHD_queue_response(r->connection, r->status, r->response);
 }
 
@@ -536,8 +544,6 @@ static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const cha
         if (!r)
             return MHD_NO;
         check_request(r, method);
-        if (r->route)
-            http_guest_busy(h, c);
         /* An early refusal is sent when the body was read, so that the client reads it. */
         return MHD_YES;
     }
@@ -550,6 +556,7 @@ static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const cha
     }
     if (!r->answered && !r->handled) {
         r->handled = true;
+        http_guest_busy(c);
         r->route->handle(r);
         if (r->waiting)
             return MHD_YES;

@@ -7,38 +7,41 @@
 #include <microhttpd.h>
 #include <sys/socket.h>
 
-/* A connection; those without a request of ours under way are listed, longest so first. */
+/* A connection, in the list of those that ask nothing, of those that are read an answer, or in
+ * none while a request of its is worked on. */
 struct guest {
     struct guest *previous, *next;
+    struct guest_list *list;
     int fd;
-    bool listed;
 };
 
-static void list_last(struct http *h, struct guest *g)
+static void unlist(struct guest *g)
 {
-    g->previous = h->guests.last;
-    g->next = NULL;
-    if (g->previous)
-        g->previous->next = g;
-    else
-        h->guests.first = g;
-    h->guests.last = g;
-    g->listed = true;
-}
-
-static void unlist(struct http *h, struct guest *g)
-{
-    if (!g->listed)
+    struct guest_list *list = g->list;
+    if (!list)
         return;
     if (g->previous)
         g->previous->next = g->next;
     else
-        h->guests.first = g->next;
+        list->first = g->next;
     if (g->next)
         g->next->previous = g->previous;
     else
-        h->guests.last = g->previous;
-    g->listed = false;
+        list->last = g->previous;
+    g->list = NULL;
+}
+
+static void list_last(struct guest_list *list, struct guest *g)
+{
+    unlist(g);
+    g->previous = list->last;
+    g->next = NULL;
+    if (g->previous)
+        g->previous->next = g;
+    else
+        list->first = g;
+    list->last = g;
+    g->list = list;
 }
 
 static struct guest *guest_of(struct MHD_Connection *c)
@@ -48,14 +51,14 @@ static struct guest *guest_of(struct MHD_Connection *c)
     return info ? info->socket_context : NULL;
 }
 
-/* Hangs up on who has said nothing of use for longest. libmicrohttpd sees the end of that
- * connection in its next turn, and accepts again. */
+/* Hangs up on who has said nothing of use for longest, or else has been reading for longest.
+ * libmicrohttpd sees the end of that connection in its next turn, and accepts again. */
 static void make_room(struct http *h)
 {
-    struct guest *g = h->guests.first;
+    struct guest *g = h->guests.idle.first ? h->guests.idle.first : h->guests.reading.first;
     if (!g)
         return;
-    unlist(h, g);
+    unlist(g);
     (void)shutdown(g->fd, SHUT_RDWR);
 }
 
@@ -69,7 +72,7 @@ void http_guest_notify(void *http, struct MHD_Connection *c, void **context,
         if (h->guests.count-- >= h->guests.count_max)
             http_kick(h);
         if (g)
-            unlist(h, g);
+            unlist(g);
         mem_free(g);
         *context = NULL;
         return;
@@ -82,24 +85,29 @@ void http_guest_notify(void *http, struct MHD_Connection *c, void **context,
     if (!g)
         return; /* only its idle timeout ends this one */
     g->fd = info->connect_fd;
-    list_last(h, g);
+    list_last(&h->guests.idle, g);
     *context = g;
 }
 
-void http_guest_busy(struct http *h, struct MHD_Connection *c)
+void http_guest_busy(struct MHD_Connection *c)
 {
     struct guest *g = guest_of(c);
     if (g)
-        unlist(h, g);
+        unlist(g);
 }
 
 void http_guest_idle(struct http *h, struct MHD_Connection *c)
 {
     struct guest *g = guest_of(c);
-    if (!g)
-        return;
-    unlist(h, g);
-    list_last(h, g);
+    if (g)
+        list_last(&h->guests.idle, g);
+}
+
+void http_guest_reads(struct http *h, struct MHD_Connection *c)
+{
+    struct guest *g = guest_of(c);
+    if (g)
+        list_last(&h->guests.reading, g);
 }
 
 /* --- Requests that can be read in two ways -------------------------------- */

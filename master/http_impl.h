@@ -14,7 +14,8 @@ enum {
     HTTP_LIST_MAX = 1000,          /* items of one page */
     HTTP_LIST_DEFAULT = 50,
     HTTP_PARAM_BYTES = 80,
-    HTTP_TICK_MS = 5000, /* between looks for silent event streams */
+    HTTP_PROGRESS_BYTES = 1 << 16, /* of a body, for which its sender is as a newcomer again */
+    HTTP_TICK_MS = 5000,           /* between looks for silent event streams */
 };
 #define HTTP_CHUNK_BYTES_MAX  (UINT64_C(1) << 30) /* of one chunk as sent */
 #define HTTP_UPLOAD_BYTES_MAX (UINT64_C(4) << 30) /* of all bodies in memory at once */
@@ -36,14 +37,19 @@ struct request {
     const char *path;          /* valid while the request is handled */
     char param[HTTP_PARAM_BYTES];
     struct buf body;
-    uint64_t body_counted; /* of http.body_bytes */
-    bool handled, waiting, answered;
+    uint64_t body_counted;  /* of http.body_bytes */
+    uint64_t body_progress; /* since it was as a newcomer */
+    bool handled, waiting, answered, streams;
     struct later *later;             /* what an operation under way holds of it */
     struct request *previous, *next; /* of http.requests */
 
     /* The answer. */
     unsigned status;
     struct MHD_Response *response;
+};
+
+struct guest_list {
+    struct guest *first, *last;
 };
 
 struct http {
@@ -63,8 +69,8 @@ struct http {
     struct stream *streams;   /* open event streams */
     uint64_t body_bytes;
     struct {
-        struct guest *first, *last; /* those that ask nothing, longest so first */
-        uint32_t count, count_max;  /* all connections */
+        struct guest_list idle, reading; /* longest so first */
+        uint32_t count, count_max;       /* all connections */
     } guests;
     struct {
         uint64_t requests, problems, bytes_out;
@@ -116,14 +122,18 @@ void http_kick(struct http *h);
 
 /* --- Connections (http_guard.c) ------------------------------------------- */
 
-/* Who holds a connection and asks nothing (never did, was refused, or not since its last answer)
- * is hung up on, longest so first, when as many are open as may be: strangers keep nobody out.
+/* Who holds a connection and asks nothing (never did, was refused, or not since its last answer),
+ * or has sent less than HTTP_PROGRESS_BYTES of a body since, is hung up on, longest so first, when
+ * as many are open as may be; then who has been reading an answer for longest. So strangers keep
+ * nobody out. Event streams and requests that are worked on stay.
  * For MHD_OPTION_NOTIFY_CONNECTION, with the http as context. */
 void http_guest_notify(void *http, struct MHD_Connection *c, void **context,
                        enum MHD_ConnectionNotificationCode code);
-/* A request of this connection is worked on, or was answered or broken off. */
-void http_guest_busy(struct http *h, struct MHD_Connection *c);
+/* A request of this connection is worked on; was answered, broken off, or has sent a good part of
+ * its body; is sent its answer. */
+void http_guest_busy(struct MHD_Connection *c);
 void http_guest_idle(struct http *h, struct MHD_Connection *c);
+void http_guest_reads(struct http *h, struct MHD_Connection *c);
 
 /* False: two Hosts, or two statements of where the body ends. A proxy may have read such a request
  * another way than libmicrohttpd does (RFC 9112, 3.2 and 6.3). */
