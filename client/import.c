@@ -103,6 +103,8 @@ static enum err read_kind(struct import *im, const char *data, size_t bytes)
     case KIND_OTHER:
         break;
     }
+    if (bytes == 0)
+        return import_fail(im, "bad-model", NULL, "the file is empty");
     return import_other(im);
 }
 

@@ -108,6 +108,12 @@ static enum err refuse(struct import *im)
     const char *why = aiGetErrorString();
     if (strstr(why, "bad_alloc"))
         return ERR_NOMEM;
+    if (strstr(why, "No suitable reader"))
+        return import_fail(im, "unknown-format",
+                           "a scene is JSON; models are OBJ, PLY, glTF, and STL, DAE, FBX, 3DS or "
+                           "OFF among others",
+                           "neither a scene nor a model that can be read, by its name and its "
+                           "first bytes");
     return import_fail(im, "bad-model", NULL, "%s", *why ? why : "not a model we can read");
 }
 

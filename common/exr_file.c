@@ -494,10 +494,11 @@ enum err exr_read_file(const char *path, const char *const *wanted, size_t wante
     enum err e = file_read(path, FILE_BYTES_MAX, &data, &bytes);
     if (e == ERR_NOMEM)
         return e;
+    if (e == ERR_NOT_FOUND)
+        return image_problem(problems, path, "missing-file", "no such file");
     if (e != ERR_OK)
-        return image_problem(problems, path,
-                             e == ERR_NOT_FOUND ? "missing-file" : "unreadable-file",
-                             e == ERR_NOT_FOUND ? "no such file" : "cannot be read");
+        return image_problem(problems, path, "unreadable-file", "cannot be read: %s",
+                             file_read_why(path, e));
     e = exr_read(data, bytes, path, wanted, wanted_count, out, problems);
     mem_free(data);
     return e;

@@ -71,9 +71,9 @@ const char *file_read_why(const char *path, enum err e)
     if (e != ERR_IO || stat(path, &st) != 0)
         return err_text(e);
     if (S_ISDIR(st.st_mode))
-        return "is a folder";
+        return "a folder";
     if (!S_ISREG(st.st_mode))
-        return "is a device or a pipe, not a file";
+        return "a device or a pipe, not a file";
     return access(path, R_OK) != 0 ? "no permission" : err_text(e);
 }
 

@@ -11,8 +11,8 @@
  * (mem_free). ERR_NOT_FOUND, ERR_IO (a folder, unreadable), ERR_LIMIT (over bytes_max). */
 TL_NODISCARD enum err file_read(const char *path, uint64_t bytes_max, char **data, size_t *bytes);
 
-/* Why file_read gave `e`, for people: "no such file", "is a folder", "is a device or a pipe, not a
- * file", "no permission", ...; static. */
+/* Why file_read gave `e`, for people: "no such file", "a folder", "a device or a pipe, not a file",
+ * "no permission", ...; static. */
 const char *file_read_why(const char *path, enum err e);
 
 /* What to do about a file that is not there: the one in its folder whose name is nearest, or where

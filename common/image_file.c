@@ -149,8 +149,8 @@ enum err image_read_file(const char *path, enum image_use use, struct scene_imag
     if (e == ERR_LIMIT)
         return image_problem(problems, path, "file-too-large", "over 2 GiB");
     if (e != ERR_OK)
-        return image_problem(problems, path, "unreadable-file",
-                             "cannot be read: a folder, or no permission");
+        return image_problem(problems, path, "unreadable-file", "cannot be read: %s",
+                             file_read_why(path, e));
     e = image_read(data, bytes, path, use, out, problems);
     mem_free(data);
     return e;

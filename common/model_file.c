@@ -67,9 +67,11 @@ enum err model_read_mesh(const char *path, const char *shown, struct scene_mesh 
         return problem(problems, shown, "missing-file", NULL, "no such file");
     if (e == ERR_LIMIT)
         return problem(problems, shown, "file-too-large", NULL, "over 4 GiB");
-    if (e != ERR_OK)
-        return problem(problems, shown, "unreadable-file", NULL,
-                       "cannot be read: a folder, or no permission");
+    if (e != ERR_OK) {
+        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = shown}, "unreadable-file", NULL,
+                 "cannot be read: %s", file_read_why(path, e));
+        return ERR_INPUT;
+    }
     struct scene_mesh mesh = {0};
     e = read_text(text, bytes, path, shown, &mesh, problems);
     mem_free(text);

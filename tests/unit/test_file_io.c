@@ -97,8 +97,8 @@ static char *hint_of(const char *name)
 static void what_is_wrong_is_said(void **state)
 {
     (void)state;
-    assert_string_equal(file_read_why("/dev/null", ERR_IO), "is a device or a pipe, not a file");
-    assert_string_equal(file_read_why(folder, ERR_IO), "is a folder");
+    assert_string_equal(file_read_why("/dev/null", ERR_IO), "a device or a pipe, not a file");
+    assert_string_equal(file_read_why(folder, ERR_IO), "a folder");
     assert_string_equal(file_read_why("nothing", ERR_NOT_FOUND), "no such file");
     char path[300];
     (void)snprintf(path, sizeof path, "%s/Scene.json", folder);
