@@ -14,6 +14,7 @@
 #include "client/preset.h"
 #include "client/term.h"
 #include "common/mem.h"
+#include "common/utf8.h"
 
 enum { SAFE_BYTES = 1024, SAFE_BUFFERS = 4 };
 
@@ -23,9 +24,7 @@ const char *cli_safe(const char *text)
     static unsigned next;
     char *out = buffers[next++ % SAFE_BUFFERS];
     (void)snprintf(out, SAFE_BYTES, "%s", text);
-    for (char *p = out; *p; p++)
-        if ((unsigned char)*p < 0x20 || *p == 0x7f)
-            *p = '?';
+    utf8_mask(out);
     return out;
 }
 
@@ -109,10 +108,10 @@ int cli_cannot_write(const char *path, enum err e, int errnum, uint64_t bytes_ne
     return EXIT_MACHINE;
 }
 
-static int would_replace(enum cli_option_id id, const char *path, const char *what)
+static int would_replace(const char *typed, const char *path, const char *what)
 {
-    cli_error("bad-value", "give the output another name", "--%s %s: would replace %s",
-              cli_options[id].name, path, what);
+    cli_error("bad-value", "give the output another name", "%s %s: would replace %s", typed, path,
+              what);
     return EXIT_USAGE;
 }
 
@@ -128,9 +127,9 @@ int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids
         }
         for (int k = 0; path && k < line->argument_count; k++)
             if (out_file_same(path, line->arguments[k]))
-                return would_replace(ids[i], path, "the file that is read");
+                return would_replace(cli_typed(line, ids[i]), path, "the file that is read");
         if (path && cli_has(line, CLI_PLAN) && out_file_same(path, cli_text(line, CLI_PLAN)))
-            return would_replace(ids[i], path, "the plan that is read");
+            return would_replace(cli_typed(line, ids[i]), path, "the plan that is read");
     }
     for (size_t i = 0; i < count; i++) {
         const char *path = cli_has(line, ids[i]) ? cli_text(line, ids[i]) : NULL;

@@ -65,7 +65,7 @@ int cli_cannot_write(const char *path, enum err e, int errnum, uint64_t bytes_ne
  * replaced. */
 int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids, size_t count);
 
-/* A name from the farm or a file, safe for a terminal: control characters become '?'. Static
+/* A name from the farm or a file, safe for a terminal: what utf8_mask takes becomes '?'. Static
  * buffers, four in turn. */
 const char *cli_safe(const char *text);
 

@@ -174,6 +174,17 @@ static bool check_tags(const struct cli_option *o, const char *text, struct diag
     return false;
 }
 
+static bool check_text(const struct cli_option *o, const char *text, struct diag_list *problems)
+{
+    bool too_long = o->high > 0 && strlen(text) > (size_t)o->high;
+    if (text[0] == '\0')
+        complain(problems, "bad-value", o->help, "--%s: must not be empty", o->name);
+    else if (too_long)
+        complain(problems, "bad-value", o->help, "--%s: %zu bytes, must be at most %.0f", o->name,
+                 strlen(text), o->high);
+    return text[0] != '\0' && !too_long;
+}
+
 bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *problems)
 {
     const struct cli_option *o = &cli_options[id];
@@ -197,10 +208,7 @@ bool cli_value_check(enum cli_option_id id, const char *text, struct diag_list *
         return check_tags(o, text, problems);
     case CLI_TEXT:
     case CLI_PATH:
-        if (text[0] != '\0')
-            return true;
-        complain(problems, "bad-value", o->help, "--%s: must not be empty", o->name);
-        return false;
+        return check_text(o, text, problems);
     }
     return false;
 }
@@ -271,24 +279,35 @@ struct walk {
     struct diag_list *problems;
 };
 
+const char *cli_typed(const struct cli_line *line, enum cli_option_id id)
+{
+    static char text[80];
+    const struct cli_option *o = &cli_options[id];
+    if (line->lettered[id])
+        (void)snprintf(text, sizeof text, "-%c", o->letter);
+    else
+        (void)snprintf(text, sizeof text, "--%s", o->name);
+    return text;
+}
+
 static void take_option(struct walk *w, enum cli_option_id id, const char *attached)
 {
     const struct cli_option *o = &cli_options[id];
-    const char *value = attached;
+    const char *value = attached, *typed = cli_typed(w->line, id);
     if (o->kind == CLI_FLAG) {
         if (attached)
-            complain(w->problems, "bad-value", NULL, "--%s takes no value", o->name);
+            complain(w->problems, "bad-value", NULL, "%s takes no value", typed);
         value = "";
     } else if (!attached) {
         if (w->at >= w->count) {
-            complain(w->problems, "missing-value", NULL, "--%s needs a value: %s", o->name,
+            complain(w->problems, "missing-value", NULL, "%s needs a value: %s", typed,
                      o->argument);
             return;
         }
         value = w->words[w->at++];
     }
     if (w->line->values[id] && o->kind != CLI_FLAG)
-        complain(w->problems, "given-twice", NULL, "--%s is given twice", o->name);
+        complain(w->problems, "given-twice", NULL, "%s is given twice", typed);
     if (cli_value_check(id, value, w->problems))
         w->line->values[id] = value;
 }
@@ -319,19 +338,26 @@ static void take_word(struct walk *w, const char *word, bool *options_over)
         id = letter_find(line->command, word[1]);
         attached = word[2] ? word + 2 : NULL;
     }
-    if (id == CLI_OPTION_COUNT)
+    if (id == CLI_OPTION_COUNT) {
         unknown_option(line->command, word, w->problems);
-    else
-        take_option(w, id, attached);
+        return;
+    }
+    line->lettered[id] = word[1] != '-';
+    take_option(w, id, attached);
 }
 
 static void check_arguments(const struct cli_line *line, struct diag_list *problems)
 {
+    int held =
+        line->argument_count < CLI_ARGUMENTS_MAX ? line->argument_count : (int)CLI_ARGUMENTS_MAX;
     const struct cli_command *c = &cli_commands[line->command];
     char see[80];
     (void)snprintf(see, sizeof see, "see tilery %s --help", c->name);
     if (line->argument_count < c->argument_min)
         complain(problems, "missing-argument", see, "usage: tilery %s %s", c->name, c->arguments);
+    for (int i = 0; i < held; i++)
+        if (line->arguments[i][0] == '\0')
+            complain(problems, "bad-value", see, "%s: an argument must not be empty", c->name);
     if (line->argument_count > c->argument_max) {
         int first = c->argument_max < CLI_ARGUMENTS_MAX ? c->argument_max : 0;
         complain(problems, "extra-argument", see, "%s: \"%s\" is one argument too many", c->name,

@@ -130,7 +130,7 @@ struct cli_option {
     const char *section;  /* line of the short help */
     uint32_t commands;    /* bit per cli_command_id */
     bool setting;         /* may also come from the environment and from a settings file */
-    double low, high;     /* CLI_COUNT, CLI_NUMBER */
+    double low, high;     /* CLI_COUNT, CLI_NUMBER; CLI_TEXT: bytes at most, 0 any */
     const char *const *choices;
     int choice_count;
     const char *help;
@@ -146,6 +146,7 @@ struct cli_line {
     const char *values[CLI_OPTION_COUNT]; /* NULL: not given; "" for a flag; borrowed */
     const char *arguments[CLI_ARGUMENTS_MAX];
     int argument_count;
+    bool lettered[CLI_OPTION_COUNT]; /* given in its short form */
 };
 
 /* Parses argv[1..]. Problems go to `problems` as DIAG_ERRORs without a place; true when there are
@@ -162,6 +163,9 @@ enum cli_command_id cli_command_find(const char *name);
 const char *cli_command_nearest(const char *name);
 
 bool cli_has(const struct cli_line *line, enum cli_option_id id);
+
+/* The option as the user typed it, "-o" or "--output"; a static buffer. */
+const char *cli_typed(const struct cli_line *line, enum cli_option_id id);
 
 /* Of an option that was given (or set); asserted. */
 const char *cli_text(const struct cli_line *line, enum cli_option_id id);

@@ -270,6 +270,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                   .argument = "S",
                   .section = "job",
                   .commands = BIT(SUBMIT),
+                  .high = JOB_NAME_BYTES_MAX,
                   .help = "what to call the job (the scene's file name)"},
     [CLI_PRIORITY_N] = {.name = "priority",
                         .kind = CLI_COUNT,

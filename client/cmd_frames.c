@@ -55,7 +55,7 @@ static int check_marks(const struct cli *cli)
         const char *path = cli->line.values[outputs[i]];
         if (path && !frames_marked(path)) {
             cli_error("no-frame-mark", "as in out.####.exr",
-                      "--%s %s: needs #### for the frame's number", cli_options[outputs[i]].name,
+                      "%s %s: needs #### for the frame's number", cli_typed(&cli->line, outputs[i]),
                       path);
             return EXIT_USAGE;
         }

@@ -68,7 +68,6 @@ bool command_put_table(const struct cli *cli, struct text_table *t)
 {
     struct buf out;
     buf_init(&out);
-    t->color_column = 2;
     text_table_print(t, isatty(STDOUT_FILENO) ? term_columns(STDOUT_FILENO) : 0, cli->color_out,
                      &out);
     bool ok = cli_put_buf(&out);
@@ -146,6 +145,8 @@ int command_jobs(struct cli *cli)
     if (status != EXIT_DONE)
         return status;
     text_table_init(&l.table, job_headings, job_align);
+    l.table.name_column = 1;
+    l.table.color_column = 2;
     buf_init(&l.json);
     buf_printf(&l.json, "[");
     status = list_jobs(&farm, &l, cli_flag(&cli->line, CLI_ALL) ? SIZE_MAX : ROWS_SHOWN);
@@ -195,6 +196,8 @@ static bool print_status(const struct cli *cli, const struct farm *f, const stru
     struct buf out;
     const char *id = cli->line.arguments[0];
     text_table_init(&table, job_headings, job_align);
+    table.name_column = 1;
+    table.color_column = 2;
     add_job(&table, job);
     bool ok = command_put_table(cli, &table);
     text_table_release(&table);

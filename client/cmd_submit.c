@@ -1,6 +1,7 @@
 #include "client/cmd_submit.h"
 
 #include <errno.h>
+#include <limits.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,6 +10,7 @@
 #include "client/command.h"
 #include "client/load.h"
 #include "client/out_file.h"
+#include "common/utf8.h"
 
 /* "scenes/spot.json" -> "spot" */
 static void name_of(const char *path, char *out, size_t bytes)
@@ -16,8 +18,10 @@ static void name_of(const char *path, char *out, size_t bytes)
     const char *slash = strrchr(path, '/');
     const char *base = slash ? slash + 1 : path;
     const char *dot = strrchr(base, '.');
-    (void)snprintf(out, bytes, "%.*s", (int)(dot && dot != base ? dot - base : (long)strlen(base)),
-                   base);
+    char whole[PATH_MAX];
+    (void)snprintf(whole, sizeof whole, "%.*s",
+                   (int)(dot && dot != base ? dot - base : (long)strlen(base)), base);
+    utf8_copy(out, bytes, whole);
 }
 
 int cmd_submit_outputs(const struct cli *cli)
@@ -27,7 +31,7 @@ int cmd_submit_outputs(const struct cli *cli)
         if (!cli_has(&cli->line, ids[i]) || cli_flag(&cli->line, CLI_WAIT))
             continue;
         cli_error("missing-option", "or fetch it later: tilery get JOB -o OUT.exr",
-                  "--%s needs --wait", cli_options[ids[i]].name);
+                  "%s needs --wait", cli_typed(&cli->line, ids[i]));
         return EXIT_USAGE;
     }
     return cli_check_outputs(&cli->line, ids, sizeof ids / sizeof *ids);
@@ -36,7 +40,7 @@ int cmd_submit_outputs(const struct cli *cli)
 int cmd_submit_send(struct farm *farm, const struct cli *cli, struct load *load,
                     const struct farm_frame *frame, char id[FARM_ID_BYTES])
 {
-    char name[100];
+    char name[JOB_NAME_BYTES_MAX + 1];
     const struct cli_line *line = &cli->line;
     name_of(line->arguments[0], name, sizeof name);
     struct farm_job_request request = {

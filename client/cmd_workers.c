@@ -7,9 +7,9 @@
 #include "client/human.h"
 #include "client/text_table.h"
 
-static const char *const worker_headings[] = {"WORKER", "HOST",  "STATE", "JOB",  "THREADS",
-                                              "SPEED",  "UNITS", "LOST",  "SEEN", "NOTE"};
-static const char worker_align[] = "llllrrrrrl";
+static const char *const worker_headings[] = {"WORKER", "NAME",  "HOST", "STATE", "JOB", "THREADS",
+                                              "SPEED",  "UNITS", "LOST", "SEEN",  "NOTE"};
+static const char worker_align[] = "lllllrrrrrl";
 
 /* Why it does not render; else the tags that it has. */
 static void add_note(struct text_table *t, const struct json *w)
@@ -36,7 +36,8 @@ static void add_worker(struct text_table *t, const struct json *w)
     char text[HUMAN_BYTES];
     const char *state = reply_text(w, "state", NULL);
     text_table_add(t, reply_text(w, "id", NULL));
-    text_table_add(t, reply_text(w, "host", reply_text(w, "name", NULL)));
+    text_table_add(t, reply_text(w, "name", NULL));
+    text_table_add(t, reply_text(w, "host", NULL));
     text_table_add(t, state && strcmp(state, "set-aside") == 0 ? "set aside" : state);
     text_table_add(t, reply_text(w, "job", NULL));
     text_table_addf(t, "%.0f", reply_number(w, "threads", 0));
@@ -71,6 +72,8 @@ static int print_workers(const struct cli *cli, const struct json *items)
     } else {
         struct text_table table;
         text_table_init(&table, worker_headings, worker_align);
+        table.name_column = 1;
+        table.color_column = 3;
         for (const struct json *v = items->first; v; v = v->next)
             if (v->type == JSON_OBJECT)
                 add_worker(&table, v);

@@ -424,8 +424,9 @@ void predict_put_text(const struct prediction *p, struct buf *out)
 {
     char a[HUMAN_BYTES], b[HUMAN_BYTES], c[HUMAN_BYTES];
     human_duration(p->seconds, a);
-    human_left(p->seconds_low, p->seconds_high, b);
-    buf_printf(out, "cost      %s (80 %%: %s)", a, b);
+    human_duration(p->seconds_low, b);
+    human_duration(p->seconds_high, c);
+    buf_printf(out, "cost      %s (80 %%: %s to %s)", a, b, c);
     if (isfinite(p->core_s)) {
         human_duration(p->core_s, a);
         buf_printf(out, ", %s of processors", a);

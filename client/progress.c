@@ -6,6 +6,7 @@
 #include "client/human.h"
 #include "client/term.h"
 #include "common/json_put.h"
+#include "common/utf8.h"
 
 enum { BAR_CELLS_MAX = 17, BAR_CELLS_MIN = 6, REPEATS_SHOWN = 3, PARTS = 5 };
 
@@ -242,9 +243,7 @@ void progress_event(struct progress *p, const char *line, double now_s)
     if (p->mode == PROGRESS_NONE)
         return;
     (void)snprintf(safe, sizeof safe, "%s", line);
-    for (char *c = safe; *c; c++)
-        if ((unsigned char)*c < 0x20 || *c == 0x7f)
-            *c = '?';
+    utf8_mask(safe);
     if (p->mode == PROGRESS_JSON) {
         struct buf b;
         buf_init(&b);

@@ -5,12 +5,14 @@
 #include <string.h>
 
 #include "common/mem.h"
+#include "common/utf8.h"
 
-enum { CELL_BYTES = 256 };
+enum { CELL_BYTES = 256, NAME_WIDTH_MIN = 12 };
 
 void text_table_init(struct text_table *t, const char *const *headings, const char *align)
 {
-    *t = (struct text_table){.headings = headings, .align = align, .color_column = -1};
+    *t = (struct text_table){
+        .headings = headings, .align = align, .color_column = -1, .name_column = -1};
     t->column_count = strlen(align);
     TL_ASSERT(t->column_count > 0 && t->column_count <= TEXT_TABLE_COLUMNS_MAX);
 }
@@ -31,9 +33,7 @@ void text_table_add(struct text_table *t, const char *text)
         t->failed = true;
         return;
     }
-    for (char *p = copy; *p; p++)
-        if ((unsigned char)*p < 0x20 || *p == 0x7f)
-            *p = '?';
+    utf8_mask(copy);
     t->cells[t->cell_count++] = copy;
 }
 
@@ -91,16 +91,31 @@ static void put_cell(const struct text_table *t, size_t column, const char *text
     const char *code = color && (int)column == t->color_column ? color_of(text) : NULL;
     if (right)
         buf_printf(out, "%*s", (int)pad, "");
-    buf_printf(out, code ? "\x1b[%sm%.*s\x1b[0m" : "%s%.*s", code ? code : "",
-               (int)bytes_of(text, own > width ? width : own), text);
+    const char *cut = own > width && !last ? ".." : "";
+    if (code)
+        buf_printf(out, "\x1b[%sm", code);
+    buf_printf(out, "%.*s%s", (int)bytes_of(text, own > width ? width - strlen(cut) : own), text,
+               cut);
+    if (code)
+        buf_printf(out, "\x1b[0m");
     if (!right && !last)
         buf_printf(out, "%*s", (int)pad, "");
     buf_printf(out, last ? "\n" : "  ");
 }
 
+/* Takes from a name what the line is too long by; how much that is. */
+static size_t shrink(size_t *width, size_t line, size_t columns)
+{
+    size_t room = *width > NAME_WIDTH_MIN ? *width - NAME_WIDTH_MIN : 0;
+    size_t excess = line > columns ? line - columns : 0;
+    size_t taken = excess < room ? excess : room;
+    *width -= taken;
+    return taken;
+}
+
 void text_table_print(const struct text_table *t, int columns, bool color, struct buf *out)
 {
-    size_t widths[TEXT_TABLE_COLUMNS_MAX], total = 0;
+    size_t widths[TEXT_TABLE_COLUMNS_MAX] = {0}, total = 0;
     for (size_t c = 0; c < t->column_count; c++) {
         widths[c] = width_of(t->headings[c]);
         for (size_t i = c; i < t->cell_count; i += t->column_count)
@@ -109,6 +124,8 @@ void text_table_print(const struct text_table *t, int columns, bool color, struc
         total += widths[c] + 2;
     }
     size_t last = t->column_count - 1;
+    if (columns > 0 && t->name_column >= 0)
+        total -= shrink(&widths[t->name_column], total - 2, (size_t)columns);
     size_t before = total - widths[last] - 2;
     if (columns > 0 && total - 2 > (size_t)columns)
         widths[last] = before + 4 < (size_t)columns ? (size_t)columns - before : 4;

@@ -17,13 +17,14 @@ struct text_table {
     char **cells; /* row by row; owned */
     size_t cell_count, capacity;
     int color_column; /* holds a state word; -1: none */
+    int name_column;  /* on a terminal it gives way, before the last one does; -1: none */
     bool failed;
 };
 
 void text_table_init(struct text_table *t, const char *const *headings, const char *align);
 void text_table_release(struct text_table *t);
 
-/* The next cell of the row; control characters become '?'. NULL: "-". */
+/* The next cell of the row; what utf8_mask takes becomes '?'. NULL: "-". */
 void text_table_add(struct text_table *t, const char *text);
 void text_table_addf(struct text_table *t, const char *format, ...) TL_PRINTF(2, 3);
 

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "common/mem.h"
+#include "common/utf8.h"
 
 enum { WORD_MAX = 64, TEXT_MAX = 1000 };
 
@@ -28,19 +29,12 @@ void diag_release(struct diag_list *list)
     diag_init(list);
 }
 
-/* Foreign names appear in the texts: what would steer the terminal is masked. */
-static void mask_controls(char *text)
-{
-    for (; *text; text++)
-        if ((unsigned char)*text < 0x20 || *text == 0x7f)
-            *text = '?';
-}
-
+/* Foreign names appear in the texts. */
 static char *copy_masked(const char *text)
 {
     char *copy = text ? mem_strndup(text, TEXT_MAX) : NULL;
     if (copy)
-        mask_controls(copy);
+        utf8_mask(copy);
     return copy;
 }
 
@@ -112,7 +106,7 @@ static void add_user_to_hint(struct diag *d, struct diag_place user)
                              user.file ? user.file : "", user.file ? ": " : "", user.path);
     if (!hint)
         return;
-    mask_controls(hint);
+    utf8_mask(hint);
     mem_free(d->hint);
     d->hint = hint;
 }
@@ -136,6 +130,8 @@ void diag_print(const struct diag_list *list, FILE *to)
             (void)fprintf(to, d->line ? "%s:%llu: " : "%s: ", d->file, (unsigned long long)d->line);
         if (d->path)
             (void)fprintf(to, "%s: ", d->path);
+        if (!d->file && !d->path)
+            (void)fprintf(to, "tilery: ");
         (void)fprintf(to, "%s%s", d->severity == DIAG_WARNING ? "warning: " : "", d->text);
         (void)fprintf(to, "\n  %s%s[%s]\n", d->hint ? d->hint : "", d->hint ? "  " : "", d->id);
     }
@@ -144,35 +140,48 @@ void diag_print(const struct diag_list *list, FILE *to)
         (void)fprintf(to, "and %zu more\n", unseen);
 }
 
-/* Levenshtein distance with two rows; words longer than WORD_MAX are far from everything. */
+static char lower(char c)
+{
+    return c >= 'A' && c <= 'Z' ? (char)(c - 'A' + 'a') : c;
+}
+
+/* Letters to insert, leave out, change, or swap with their neighbour (Damerau and Levenshtein, each
+ * pair swapped once); capitals count as small ones. Words longer than WORD_MAX are far from
+ * everything. */
 static size_t edit_distance(const char *a, const char *b)
 {
     size_t m = strlen(a), n = strlen(b);
-    size_t row[WORD_MAX + 1];
+    size_t rows[3][WORD_MAX + 1];
     if (m > WORD_MAX || n > WORD_MAX)
         return WORD_MAX;
     for (size_t j = 0; j <= n; j++)
-        row[j] = j;
+        rows[0][j] = j;
     for (size_t i = 1; i <= m; i++) {
-        size_t diagonal = row[0];
+        size_t *row = rows[i % 3], *above = rows[(i + 2) % 3], *above2 = rows[(i + 1) % 3];
         row[0] = i;
         for (size_t j = 1; j <= n; j++) {
-            size_t change = diagonal + (a[i - 1] != b[j - 1]);
-            diagonal = row[j];
-            size_t best = row[j] < row[j - 1] ? row[j] + 1 : row[j - 1] + 1;
-            row[j] = best < change ? best : change;
+            size_t best = above[j - 1] + (lower(a[i - 1]) != lower(b[j - 1]));
+            best = above[j] + 1 < best ? above[j] + 1 : best;
+            best = row[j - 1] + 1 < best ? row[j - 1] + 1 : best;
+            bool swapped = i > 1 && j > 1 && lower(a[i - 1]) == lower(b[j - 2]) &&
+                           lower(a[i - 2]) == lower(b[j - 1]);
+            row[j] = swapped && above2[j - 2] + 1 < best ? above2[j - 2] + 1 : best;
         }
     }
-    return row[n];
+    return rows[m % 3][n];
 }
 
+/* A slip for every third letter, and one in two; a word of three or more that begins a known one
+ * is one slip away from it. */
 const char *diag_nearest(const char *word, const char *const *known, size_t known_count)
 {
     const char *best = NULL;
-    size_t limit = strlen(word) / 3 > 2 ? strlen(word) / 3 : 2;
-    size_t best_distance = limit + 1;
+    size_t bytes = strlen(word);
+    size_t best_distance = (bytes + 1) / 3 + 1;
     for (size_t i = 0; i < known_count; i++) {
         size_t distance = edit_distance(word, known[i]);
+        if (bytes >= 3 && distance > 1 && strncmp(word, known[i], bytes) == 0)
+            distance = 1;
         if (distance < best_distance) {
             best_distance = distance;
             best = known[i];

@@ -59,11 +59,12 @@ void diag_append(struct diag_list *list, struct diag_list *from);
  * their hint. `user` has a path. */
 void diag_name_user(struct diag_list *list, size_t from, struct diag_place user);
 
-/* Prints every problem, warnings marked "warning: ". No closing count. */
+/* Prints every problem, warnings marked "warning: "; "tilery: " stands before one without a place.
+ * No closing count. */
 void diag_print(const struct diag_list *list, FILE *to);
 
-/* The known word nearest to `word` by edit distance, or NULL when none is near
- * (distance over a third of its length, at least 2). */
+/* The known word that `word` is likely a slip for, or NULL when none is near: at most one letter
+ * left out, put in, changed or swapped for each three (of two: one). Capitals are as small ones. */
 const char *diag_nearest(const char *word, const char *const *known, size_t known_count);
 
 #endif

@@ -78,6 +78,7 @@ enum {
     JOB_COLOR_PLANES = 3,
     JOB_CELL_VALUES_MAX = 3 << 24, /* of all planes of one cell: 192 MiB as float */
 };
+enum { JOB_NAME_BYTES_MAX = 200 }; /* what people call a job, in UTF-8 */
 enum { JOB_SIDE_MAX = 65535, JOB_TILE_MAX = 65535, JOB_DEPTH_MAX = 1 << 20 };
 #define JOB_SPP_MAX (UINT64_C(1) << 40)
 /* Bounds of spp where samples differ from square to square, and the default of --max-spp. */

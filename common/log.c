@@ -7,6 +7,8 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "common/utf8.h"
+
 enum { LINE_BYTES = 1000 };
 
 static const char *const level_names[] = {"error", "warn", "info", "debug", "trace"};
@@ -26,14 +28,6 @@ bool log_level_parse(const char *name, enum log_level *out)
         }
     }
     return false;
-}
-
-/* Foreign text (host names, file names) must not write to the reader's terminal. */
-static void mask_controls(char *line, size_t bytes)
-{
-    for (size_t i = 0; i < bytes; i++)
-        if ((unsigned char)line[i] < 0x20 || line[i] == 0x7f)
-            line[i] = '?';
 }
 
 void log_write(enum log_level level, const char *module, const char *format, ...)
@@ -60,7 +54,10 @@ void log_write(enum log_level level, const char *module, const char *format, ...
     if (text_bytes > 0)
         used += (size_t)text_bytes < sizeof line - used - 1 ? (size_t)text_bytes
                                                             : sizeof line - used - 2;
-    mask_controls(line, used);
+    line[used] = '\0';
+    utf8_mask(
+        line); /* foreign text (host names, file names) must not steer the reader's terminal */
+    used = strlen(line);
     line[used++] = '\n';
     ssize_t ignored = write(STDERR_FILENO, line, used);
     (void)ignored;

@@ -20,7 +20,7 @@ void log_set_level(enum log_level level);
 TL_NODISCARD bool log_level_parse(const char *name, enum log_level *out);
 
 /* `module` is a short constant; the text is "event key=value ...". Lines are cut at 1,000 bytes,
- * control characters become '?'. */
+ * what utf8_mask takes becomes '?'. */
 void log_write(enum log_level level, const char *module, const char *format, ...) TL_PRINTF(3, 4);
 
 #define log_error(module, ...) log_write(LOG_ERROR, module, __VA_ARGS__)

@@ -1,5 +1,6 @@
 #include "common/utf8.h"
 
+#include <stdbool.h>
 #include <string.h>
 
 static int is_tail(unsigned char c)
@@ -41,6 +42,41 @@ void utf8_copy(char *out, size_t bytes, const char *text)
         text += taken;
     }
     out[used] = '\0';
+}
+
+static uint32_t decode(const char *at, size_t length)
+{
+    static const unsigned char masks[5] = {0, 0x7F, 0x1F, 0x0F, 0x07};
+    uint32_t code = (unsigned char)at[0] & masks[length];
+    for (size_t i = 1; i < length; i++)
+        code = code << 6 | ((unsigned char)at[i] & 0x3F);
+    return code;
+}
+
+/* By Unicode's categories Cc, Zl, Zp and the format characters that reorder or show nothing. */
+static int is_unseen(uint32_t code)
+{
+    return code < 0x20 || (code >= 0x7F && code <= 0x9F) || code == 0x61C || code == 0x200B ||
+           code == 0x200E || code == 0x200F || (code >= 0x2028 && code <= 0x202E) ||
+           (code >= 0x2060 && code <= 0x206F) || code == 0xFEFF || code >= 0xE0000;
+}
+
+void utf8_mask(char *text)
+{
+    const char *from = text, *end = text + strlen(text);
+    char *to = text;
+    while (from < end) {
+        size_t length = utf8_length(from, end);
+        bool shown = length > 0 && !is_unseen(decode(from, length));
+        size_t taken = length ? length : 1;
+        if (shown)
+            memmove(to, from, taken);
+        else
+            *to = '?';
+        to += shown ? taken : 1;
+        from += taken;
+    }
+    *to = '\0';
 }
 
 size_t utf8_encode(uint32_t code, char out[4])

@@ -7,6 +7,7 @@
 
 #include "common/buf.h"
 #include "common/digest.h"
+#include "common/job_spec.h"
 
 /* The names are those of the API. Stored by number: append only. */
 #define JOB_STATES(X)                                                                              \
@@ -79,7 +80,7 @@ struct job_stats {
 #undef JOB_STATS_FIELD
 };
 
-enum { JOB_NAME_BYTES = 201, JOB_NOTE_BYTES = 257 };
+enum { JOB_NAME_BYTES = JOB_NAME_BYTES_MAX + 1, JOB_NOTE_BYTES = 257 };
 
 struct job_record {
     uint64_t id;

@@ -209,7 +209,39 @@ def test_a_device_is_no_file(tmp_path, option):
     for path in ("/dev/zero", fifo):
         done = tilery("render", SEED_SCENE, "-o", tmp_path / "out.exr", option, path, timeout=20)
         assert done.returncode == 3 and done.stdout == ""
-        assert "is a device or a pipe, not a file" in done.stderr, done.stderr
+        assert "cannot be read: a device or a pipe, not a file" in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("kind", ("mesh", "texture", "compare"))
+def test_why_a_file_cannot_be_read(tmp_path, kind):
+    """Also where a scene names it; once all of them were "a folder, or no permission"."""
+    os.mkfifo(tmp_path / "pipe.obj")
+    (tmp_path / "dir.obj").mkdir()
+    for path, why in (("pipe.obj", "a device or a pipe, not a file"), ("dir.obj", "a folder")):
+        if kind == "compare":
+            done = tilery("compare", tmp_path / path, tmp_path / path, timeout=20)
+        else:
+            scene = copy.deepcopy(GOOD)
+            scene["objects"][0] = {"type": "mesh", "path": path, "material_name": "floor"}
+            if kind == "texture":
+                del scene["objects"][0]
+                scene["textures"]["t"] = {"type": "image", "path": path}
+                scene["environment_map"] = {"texture_name": "t"}
+            (tmp_path / "scene.json").write_text(json.dumps(scene))
+            done = tilery("explain", tmp_path / "scene.json", timeout=20)
+        assert done.returncode == 3, done
+        assert f"cannot be read: {why}\n" in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("content", (b"", b"root:x:0:0:root:/root:/bin/sh\n", b"\x7fELF\2\1\1" * 99))
+def test_what_is_no_scene(tmp_path, content):
+    """In words of ours; once it was the model library's sentence."""
+    path = tmp_path / "passwd"
+    path.write_bytes(content)
+    done = tilery("render", path, "-o", tmp_path / "out.exr")
+    assert done.returncode == 3
+    words = "neither a scene nor a model that can be read" if content else "the file is empty"
+    assert f"{path}: {words}" in done.stderr, done.stderr
 
 
 def test_a_model_without_a_light(tmp_path):
@@ -242,7 +274,11 @@ USAGE = {
     "frames-range": (("submit", "a.#.json", "--frames", "3-1"), "A-B"),
     "frames-out": (("submit", "a.#.json", "--frames", "1-3", "--wait", "-o", "o.exr"), "-o"),
     "tradeoff": (("tradeoff", "a.json"), "-o"),
-    "output without wait": (("submit", "a.json", "-o", "b.exr"), "--wait"),
+    "output without wait": (("submit", "a.json", "-o", "b.exr"), "-o needs --wait"),
+    "output in full without wait": (("submit", "a.json", "--output", "b.exr"), "--output needs"),
+    "long name": (("submit", "a.json", "--name", "n" * 201), "201 bytes, must be at most 200"),
+    "empty scene": (("render", "", "-o", "b.exr"), "must not be empty"),
+    "empty job": (("status", ""), "must not be empty"),
     "bad priority": (("priority", "j1", "high"), "whole number"),
     "help of nothing": (("help", "rendr"), "render"),
     "get without output": (("get", "j1"), "-o"),
@@ -277,6 +313,7 @@ def test_crop_outside(farm, tmp_path):
     (tmp_path / "scene.json").write_text(json.dumps(GOOD))
     done = farm.cli("submit", tmp_path / "scene.json", "--crop", "4,4,5,5")
     assert done.returncode == 2 and "8x8" in done.stderr
+    assert done.stderr.startswith("tilery: --crop 4,4,5,5 reaches over"), done.stderr
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("help",), ("render", "--help"),

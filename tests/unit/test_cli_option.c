@@ -106,7 +106,9 @@ static void test_refusals(void **state)
     refused("jobs --spp 4", "unknown-option", "--spp");
     refused("render -o x.exr", "missing-argument", "usage");
     refused("render a.json b.json -o x.exr", "extra-argument", "b.json");
-    refused("render a.json -o", "missing-value", "--output");
+    refused("render a.json -o", "missing-value", "-o needs");
+    refused("render a.json --output", "missing-value", "--output needs");
+    refused("render a.json -o x.exr -o y.exr", "given-twice", "-o is");
     refused("render a.json --spp 0", "bad-value", "from 1");
     refused("render a.json --spp 1e3", "bad-value", "1e3");
     refused("render a.json --spp -1", "bad-value", "-1");

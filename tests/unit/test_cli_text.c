@@ -15,6 +15,9 @@
 #include "client/progress.h"
 #include "client/report_text.h"
 #include "client/text_table.h"
+#include "common/diag.h"
+#include "common/mem.h"
+#include "common/utf8.h"
 
 static struct progress_now example(void)
 {
@@ -25,6 +28,69 @@ static struct progress_now example(void)
                                  .relmse = 0.021,
                                  .rays_s = 119e6,
                                  .workers = 8};
+}
+
+static void test_mask(void **state)
+{
+    static const char *const cases[][2] = {
+        {"gr\u00f6\u00dfer \u6f22 \U0001f600", "gr\u00f6\u00dfer \u6f22 \U0001f600"},
+        {"a\x1b[31m\r\n\t\x7f", "a?[31m????"},
+        {"\u202egnp.exe\u2066", "?gnp.exe?"},
+        {"\xc2\x85\xc2\x9b\u2028\ufeff", "????"},
+        {"cut \xe6\xbc", "cut ??"},
+        {"\xff\xc0\x80", "???"},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        char text[64];
+        (void)snprintf(text, sizeof text, "%s", cases[i][0]);
+        utf8_mask(text);
+        assert_string_equal(text, cases[i][1]);
+    }
+}
+
+/* Slips of the keyboard are found; words that merely are short too are not. */
+static void test_nearest(void **state)
+{
+    static const char *const known[] = {"spp",   "png",        "aov",          "seed",   "size",
+                                        "crop",  "tile",       "plan",         "output", "report",
+                                        "quiet", "glass",      "MIS",          "NEE",    "RW",
+                                        "path",  "time-limit", "target-error", "max-spp"};
+    static const struct {
+        const char *word, *nearest;
+    } cases[] = {
+        {"sp", "spp"},
+        {"ssp", "spp"},
+        {"pgn", "png"},
+        {"sede", "seed"},
+        {"sed", "seed"},
+        {"galss", "glass"},
+        {"mis", "MIS"},
+        {"rw", "RW"},
+        {"out", "output"},
+        {"outptu", "output"},
+        {"Report", "report"},
+        {"timelimit", "time-limit"},
+        {"target-eror", "target-error"},
+        {"x", NULL},
+        {"hi", NULL},
+        {"fps", NULL},
+        {"dpi", NULL},
+        {"gpu", NULL},
+        {"ldr", NULL},
+        {"cats", NULL},
+        {"foo", NULL},
+        {"scenes", NULL},
+        {"", NULL},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        const char *found = diag_nearest(cases[i].word, known, sizeof known / sizeof *known);
+        if (!cases[i].nearest)
+            assert_null(found);
+        else
+            assert_string_equal(found ? found : "nothing", cases[i].nearest);
+    }
 }
 
 static void test_progress_widths(void **state)
@@ -236,6 +302,21 @@ static void test_table(void **state)
     assert_string_equal((const char *)out.data, "JOB    DONE  NOTE\n"
                                                 "j1       5%  behind \n"
                                                 "j1000     -  \xc3\xa4\xc3\xb6 word\n");
+    /* A long name gives way before the note does; whole when piped. */
+    buf_clear(&out);
+    t.name_column = 0;
+    mem_free(t.cells[0]);
+    t.cells[0] = mem_strndup("a name that is long", 99);
+    text_table_print(&t, 36, false, &out);
+    buf_put_u8(&out, 0);
+    assert_string_equal((const char *)out.data,
+                        "JOB           DONE  NOTE\n"
+                        "a name tha..    5%  behind 1 job?\n"
+                        "j1000            -  \xc3\xa4\xc3\xb6 words that ar\n");
+    buf_clear(&out);
+    text_table_print(&t, 0, false, &out);
+    buf_put_u8(&out, 0);
+    assert_non_null(strstr((const char *)out.data, "a name that is long    5%  behind 1 job?\n"));
     buf_release(&out);
     text_table_release(&t);
 }
@@ -323,6 +404,8 @@ static void test_preview(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_mask),
+        cmocka_unit_test(test_nearest),
         cmocka_unit_test(test_progress_widths),
         cmocka_unit_test(test_progress_states),
         cmocka_unit_test(test_lines_each_tenth),

@@ -284,7 +284,7 @@ static void all_problems_come_in_one_run(void **state)
     (void)state;
     struct loaded l;
     load(&l, SCENE("\"spp\": -1", "", "\"fov\": 200", ", \"b\": {\"type\": \"galss\"}",
-                   ", {\"type\": \"sphere\", \"center\": [0,0,0], \"material_name\": \"n\"}"
+                   ", {\"type\": \"sphere\", \"center\": [0,0,0], \"material_name\": \"mm\"}"
                    ", {\"type\": \"mesh\", \"path\": \"case.obj\", \"light\": {}}",
                    ""));
     assert_int_equal(l.e, ERR_INPUT);
@@ -292,7 +292,7 @@ static void all_problems_come_in_one_run(void **state)
     const struct diag *d =
         problem_find(&l.problems, "unknown-material", "$.objects[1].material_name");
     assert_non_null(d);
-    assert_string_equal(d->text, "no material \"n\"");
+    assert_string_equal(d->text, "no material \"mm\"");
     assert_string_equal(d->hint, "did you mean \"m\"? known: m, b");
     d = problem_find(&l.problems, "missing-file", "$.objects[2].path");
     assert_non_null(d);
