@@ -400,7 +400,7 @@ static void get_after(uv_work_t *request, int status)
         c->used_at = ++s->clock;
         s->cached_bytes += blob_bytes(c->frame);
     } else {
-        log_error("chunks", "cannot read file=%s error=%s", w->path, err_name(e));
+        log_error("chunks", "cannot read file=%s error=\"%s\"", w->path, err_text(e));
     }
     struct blob *frame = e == ERR_OK ? blob_ref(c->frame) : NULL;
     while (waiter) {

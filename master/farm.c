@@ -332,6 +332,7 @@ enum err farm_start(struct farm *f, uv_loop_t *loop, const struct farm_options *
                        .token = o->token,
                        .tls = o->tls,
                        .retention_s = o->retention_s,
+                       .keep_lost_s = o->keep_lost_s,
                        .started_ms = uv_now(loop)};
     enum err e = store_open(o->data_dir, &f->store);
     if (e != ERR_OK) {

@@ -172,6 +172,7 @@ struct farm {
     const char *token;           /* borrowed; NULL: none asked */
     const struct tls_party *tls; /* borrowed; NULL: workers come in clear */
     uint32_t retention_s;        /* finished jobs are kept so long; 0: for ever */
+    uint32_t keep_lost_s;        /* workers that are gone are listed so long */
 
     uv_timer_t sched_timer, tick_timer, cut_timer;
     uv_prepare_t settle; /* before the loop sleeps: admits jobs */
@@ -206,7 +207,7 @@ struct farm_options {
     const struct tls_party *tls; /* for workers; NULL: in clear; outlives the farm */
     bool determinism_pinned;
     digest determinism;
-    uint32_t retention_s;
+    uint32_t retention_s, keep_lost_s;
 };
 
 /* Opens the store, takes up unfinished jobs, listens. On failure what went wrong was written to the

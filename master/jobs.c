@@ -165,7 +165,8 @@ static void submission_stored(void *ctx, enum err e)
         jobs_admit(f); /* so that the first report tells whether somebody will render it */
         jobs_changed(f, job, true);
     } else if (e != ERR_OK) {
-        log_warn("jobs", "submission not stored job=j%" PRIu64 " error=%s", s->job, err_name(e));
+        log_warn("jobs", "submission not stored job=j%" PRIu64 " error=\"%s\"", s->job,
+                 err_text(e));
         /* What was put on its way for it meanwhile must not come back. */
         if (!f->stopping && store_delete_job(f->store, s->job) != ERR_OK)
             log_warn("jobs", "rests may stay job=j%" PRIu64, s->job);
@@ -411,7 +412,8 @@ static enum err load_job(void *ctx, struct job_record *record)
         job_spec_from_json(record->spec_json, strlen(record->spec_json), &job->spec, &problems);
     diag_release(&problems);
     if (e != ERR_OK) {
-        log_error("jobs", "unreadable, skipped job=j%" PRIu64 " error=%s", record->id, err_name(e));
+        log_error("jobs", "unreadable, skipped job=j%" PRIu64 " error=\"%s\"", record->id,
+                  err_text(e));
         f->job_next = record->id + 1;
         job_free(job);
         return e == ERR_NOMEM ? e : ERR_OK;

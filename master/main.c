@@ -79,7 +79,8 @@ static enum err start(struct program *p, const struct options *o)
                                 .tls = p->tls,
                                 .determinism_pinned = o->determinism_pinned,
                                 .determinism = o->determinism,
-                                .retention_s = o->retention_s};
+                                .retention_s = o->retention_s,
+                                .keep_lost_s = o->keep_lost_s};
     TL_TRY(farm_start(&p->farm, &p->loop, &farm));
     struct http_options http = {.address = o->http, .token = o->token, .tls = o->tls};
     return http_start(&p->farm, &http, &p->http);

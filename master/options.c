@@ -29,6 +29,7 @@ static const char help[] =
     "  --no-sync              do not wait for the disk: survives kill -9, not a power cut\n"
     "  --determinism-id HEX   accept only workers of this id (else the first one's)\n"
     "  --retention DAYS       keep ended jobs so long (0: for ever, the default)\n"
+    "  --keep-lost SECONDS    list workers that left or were lost so long (3600)\n"
     "  --log LEVEL            error, warn, info, debug, trace (info)\n"
     "  --version, --help\n"
     "\n"
@@ -53,7 +54,7 @@ static bool read_token(const char *path, char **out, int *status)
     enum err e = file_read(path, 1 << 16, &text, &bytes);
     if (e != ERR_OK) {
         (void)fprintf(stderr, "tilery-master: cannot read token file %s: %s  [token-file]\n", path,
-                      err_text(e));
+                      file_read_why(path, e));
         *status = err_exit_status(ERR_USAGE);
         return false;
     }
@@ -121,6 +122,16 @@ static bool parse_days(const char *text, uint32_t *seconds, int *status)
     return true;
 }
 
+static bool parse_seconds(const char *text, uint32_t *seconds, int *status)
+{
+    char *end = NULL;
+    unsigned long v = strtoul(text, &end, 10);
+    if (text[0] < '0' || text[0] > '9' || *end || v > UINT32_MAX)
+        return wrong(status, "--keep-lost must be a whole number of seconds, not \"%s\"", text);
+    *seconds = (uint32_t)v;
+    return true;
+}
+
 enum {
     OPT_LISTEN = 256,
     OPT_LISTEN_SOCKET,
@@ -134,6 +145,7 @@ enum {
     OPT_NO_SYNC,
     OPT_DETERMINISM,
     OPT_RETENTION,
+    OPT_KEEP_LOST,
     OPT_LOG,
     OPT_VERSION,
     OPT_HELP
@@ -152,6 +164,7 @@ static const struct option long_options[] = {
     {"no-sync", no_argument, NULL, OPT_NO_SYNC},
     {"determinism-id", required_argument, NULL, OPT_DETERMINISM},
     {"retention", required_argument, NULL, OPT_RETENTION},
+    {"keep-lost", required_argument, NULL, OPT_KEEP_LOST},
     {"log", required_argument, NULL, OPT_LOG},
     {"version", no_argument, NULL, OPT_VERSION},
     {"help", no_argument, NULL, OPT_HELP},
@@ -212,6 +225,8 @@ static bool take(struct options *o, int option, int *status)
                wrong(status, "--determinism-id must be 64 hexadecimal digits, not \"%s\"", optarg);
     case OPT_RETENTION:
         return parse_days(optarg, &o->retention_s, status);
+    case OPT_KEEP_LOST:
+        return parse_seconds(optarg, &o->keep_lost_s, status);
     case OPT_LOG:
         return log_level_parse(optarg, &o->level) ||
                wrong(status, "--log must be error, warn, info, debug or trace, not \"%s\"", optarg);
@@ -235,6 +250,7 @@ bool options_parse(int argc, char **argv, struct options *out, int *status)
                             .http = "127.0.0.1:8080",
                             .data = "tilery-data",
                             .listen_socket = -1,
+                            .keep_lost_s = 3600,
                             .level = LOG_INFO};
     for (int option; (option = getopt_long(argc, argv, "", long_options, NULL)) != -1;)
         if (!take(out, option, status)) {

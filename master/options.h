@@ -15,7 +15,7 @@ struct options {
     bool insecure, no_sync, determinism_pinned;
     digest determinism;
     enum log_level level;
-    uint32_t retention_s;
+    uint32_t retention_s, keep_lost_s;
 };
 
 /* False: the program is to end with *status (help was printed, or what is wrong). */

@@ -332,8 +332,8 @@ static void on_stored(void *ctx, enum err e)
             add_totals(job, &s->record);
             note_contributor(job, s->record.worker);
         } else {
-            log_error("results", "stored result not added job=j%" PRIu64 " error=%s", s->record.job,
-                      err_name(e));
+            log_error("results", "stored result not added job=j%" PRIu64 " error=\"%s\"",
+                      s->record.job, err_text(e));
         }
         if (e == ERR_NOMEM)
             jobs_fail(f, job, "out of memory");

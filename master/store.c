@@ -242,8 +242,8 @@ static enum err replay_step(void *ctx, const struct store_step *step)
         return e;
     log_warn("store",
              "result unreadable, will be rendered again job=j%" PRIu64 " sequence=%" PRIu64
-             " error=%s",
-             r->job, step->sequence, err_name(e));
+             " error=\"%s\"",
+             r->job, step->sequence, err_text(e));
     if (r->damaged_count < sizeof r->damaged / sizeof *r->damaged)
         r->damaged[r->damaged_count++] = step->sequence;
     return ERR_OK;
@@ -281,8 +281,9 @@ enum err store_load_film(struct store *s, uint64_t job, const struct grid *grid,
         return e;
     if (e != ERR_OK) {
         if (e != ERR_NOT_FOUND)
-            log_error("store", "checkpoint unreadable, job starts again job=j%" PRIu64 " error=%s",
-                      job, err_name(e));
+            log_error("store",
+                      "checkpoint unreadable, job starts again job=j%" PRIu64 " error=\"%s\"", job,
+                      err_text(e));
         from = (struct checkpoint){.job = job, .totals.nonfinite_pixel = UINT64_MAX};
         TL_TRY(film_new(grid, blocks, &r.film));
     }

@@ -156,7 +156,7 @@ static void send_to(struct worker *w, const struct message *m, struct blob *body
     enum err e = conn_send(w->conn, m, body);
     if (e == ERR_OK || e == ERR_CLOSED)
         return;
-    log_warn("workers", "cannot send id=w%" PRIu64 " error=%s", w->id, err_name(e));
+    log_warn("workers", "cannot send id=w%" PRIu64 " error=\"%s\"", w->id, err_text(e));
     conn_close(w->conn, e);
 }
 
@@ -301,6 +301,14 @@ static const char *hello_problem(struct farm *f, const tilery_Hello *h, tilery_R
     return NULL;
 }
 
+static void forget(struct farm *f, size_t at)
+{
+    drop_chunk_waits(f->workers[at]);
+    mem_free(f->workers[at]);
+    f->worker_count--;
+    memmove(f->workers + at, f->workers + at + 1, (f->worker_count - at) * sizeof *f->workers);
+}
+
 /* Makes room in a full table: forgets the worker that is lost for longest. */
 static bool forget_one(struct farm *f)
 {
@@ -312,11 +320,7 @@ static bool forget_one(struct farm *f)
     }
     if (oldest == f->worker_count)
         return false;
-    drop_chunk_waits(f->workers[oldest]);
-    mem_free(f->workers[oldest]);
-    f->worker_count--;
-    memmove(f->workers + oldest, f->workers + oldest + 1,
-            (f->worker_count - oldest) * sizeof *f->workers);
+    forget(f, oldest);
     return true;
 }
 
@@ -560,8 +564,8 @@ static void job_failed(struct farm *f, struct worker *w, const tilery_JobFailed 
 static void unit_failed(struct farm *f, struct worker *w, const tilery_UnitFailed *m)
 {
     struct job *job = farm_job(f, m->job);
-    log_warn("workers", "unit failed id=w%" PRIu64 " job=j%" PRIu64 " error=%s", w->id, m->job,
-             m->error);
+    log_warn("workers", "unit failed id=w%" PRIu64 " job=j%" PRIu64 " error=%s text=\"%s\"", w->id,
+             m->job, m->error, m->text);
     if (job)
         jobs_log(f, job, "a unit failed on w%" PRIu64 " (%s): %s", w->id, w->name, m->text);
     struct sched_event event = {
@@ -644,7 +648,7 @@ static void detach(struct farm *f, struct worker *w, enum err why)
                    : why == ERR_OK      ? "connection closed"
                                         : err_text(why));
     log_info("workers", "connection lost id=w%" PRIu64 " name=%s why=\"%s\"", w->id, w->name,
-             why == ERR_OK ? "closed by the worker" : err_name(why));
+             why == ERR_OK ? "closed by the worker" : err_text(why));
     struct sched_event event = {.type = left ? SCHED_WORKER_LEFT : SCHED_WORKER_AWAY,
                                 .worker = w->id};
     farm_feed(f, &event); /* once it is gone, news of it come */
@@ -653,7 +657,7 @@ static void detach(struct farm *f, struct worker *w, enum err why)
 static void on_close(void *ctx, struct conn *c, enum err why)
 {
     if (!conn_accepted(c)) {
-        log_debug("workers", "connection ended peer=%s why=%s", conn_peer(c), err_name(why));
+        log_debug("workers", "connection ended peer=%s why=\"%s\"", conn_peer(c), err_text(why));
         return;
     }
     struct worker *w = ctx;
@@ -737,6 +741,19 @@ enum err workers_drain(struct farm *f, struct worker *w)
     return ERR_OK;
 }
 
+/* Those that left or were lost long ago are of no interest to people any more. One that returns
+ * after that brings its id along. */
+static void forget_old(struct farm *f)
+{
+    for (size_t i = f->worker_count; i-- > 0;) {
+        struct worker *w = f->workers[i];
+        struct sched_worker_info info;
+        if (!w->conn && farm_now_ms(f) - w->seen_ms > (int64_t)f->keep_lost_s * 1000 &&
+            workers_state(f, w, &info) == SCHED_WORKER_GONE)
+            forget(f, i);
+    }
+}
+
 void workers_tick(struct farm *f)
 {
     for (size_t i = 0; i < f->worker_count; i++) {
@@ -745,4 +762,5 @@ void workers_tick(struct farm *f)
         if (w->conn && workers_state(f, w, &info) != w->told)
             workers_changed(f, w);
     }
+    forget_old(f);
 }

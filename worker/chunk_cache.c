@@ -359,8 +359,9 @@ enum err chunk_cache_put(struct chunk_cache *c, const digest *name, unsigned cha
             mem_free(frame);
             frame = NULL;
         } else {
-            log_warn("cache", "chunk kept in memory: the folder cannot take it folder=%s error=%s",
-                     c->folder, err_name(written));
+            log_warn("cache",
+                     "chunk kept in memory: the folder cannot take it folder=%s error=\"%s\"",
+                     c->folder, err_text(written));
         }
     }
     if (e == ERR_OK)
@@ -420,7 +421,8 @@ enum err chunk_cache_get(struct chunk_cache *c, const digest *name, uint64_t raw
     entry->readers--;
     unlock(c);
     if (e == ERR_CORRUPT || e == ERR_LIMIT || e == ERR_NOT_FOUND) {
-        log_warn("cache", "chunk dropped: the disk has changed or lost it error=%s", err_name(e));
+        log_warn("cache", "chunk dropped: the disk has changed or lost it error=\"%s\"",
+                 err_text(e));
         forget(c, name);
         return ERR_NOT_FOUND;
     }

@@ -118,8 +118,8 @@ static void say_failed(struct job_table *t, uint64_t job, enum err error, const 
 {
     char line[TEXT_BYTES];
     (void)snprintf(line, sizeof line, "%s: %s", text, err_text(error));
-    log_warn("job", "cannot be rendered here job=%" PRIu64 " error=%s text=\"%s\"", job,
-             err_name(error), line);
+    log_warn("job", "cannot be rendered here job=%" PRIu64 " error=\"%s\" text=\"%s\"", job,
+             err_text(error), line);
     struct message m = {.type = FRAME_JOB_FAILED, .job_failed = {.job = job}};
     MESSAGE_TEXT(m.job_failed.error, err_name(error));
     MESSAGE_TEXT(m.job_failed.text, line);

@@ -324,7 +324,7 @@ static void run_tree_write(struct pool_task *task, uint32_t thread)
     enum err e = tree_cache_put(chunk_cache_trees(w->loader->cache), &w->key,
                                 accel_trees_bytes(accel), give_tree, accel);
     if (e != ERR_OK)
-        log_warn("cache", "tree not kept: the folder cannot take it error=%s", err_name(e));
+        log_warn("cache", "tree not kept: the folder cannot take it error=\"%s\"", err_text(e));
 }
 
 static void run_build(struct pool_task *task, uint32_t thread)

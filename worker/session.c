@@ -287,14 +287,15 @@ static void connect_later(struct session *s, bool at_once)
 static void log_loss(struct session *s, bool was_registered, enum err why)
 {
     if (was_registered)
-        log_warn("session", "connection lost master=%s why=%s results=%" PRIu32, s->options.master,
-                 why == ERR_OK ? "closed by the master" : err_name(why),
+        log_warn("session", "connection lost master=%s why=\"%s\" results=%" PRIu32,
+                 s->options.master, why == ERR_OK ? "closed by the master" : err_text(why),
                  work_result_count(s->work));
     else if (s->lost_count == 1)
-        log_warn("session", "cannot register master=%s why=%s, trying on every %d ms",
-                 s->options.master, err_name(why), RECONNECT_MS_MAX);
+        log_warn("session", "cannot register master=%s why=\"%s\", trying on every %d ms",
+                 s->options.master, err_text(why), RECONNECT_MS_MAX);
     else
-        log_debug("session", "cannot register master=%s why=%s", s->options.master, err_name(why));
+        log_debug("session", "cannot register master=%s why=\"%s\"", s->options.master,
+                  err_text(why));
 }
 
 static void end_untrusted(struct session *s, const char *problem)

@@ -86,8 +86,8 @@ void work_flush(struct work *w)
 static void say_unit_failed(struct work *w, uint64_t job, uint64_t epoch, enum err error,
                             const char *text)
 {
-    log_warn("unit", "failed job=%" PRIu64 " epoch=%" PRIu64 " error=%s", job, epoch,
-             err_name(error));
+    log_warn("unit", "failed job=%" PRIu64 " epoch=%" PRIu64 " error=\"%s\"", job, epoch,
+             err_text(error));
     struct message m = {.type = FRAME_UNIT_FAILED, .unit_failed = {.job = job, .epoch = epoch}};
     MESSAGE_TEXT(m.unit_failed.error, err_name(error));
     MESSAGE_TEXT(m.unit_failed.text, text);

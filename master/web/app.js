@@ -96,9 +96,9 @@ function showReport(r) {
   put(list, "relMSE", r.error.relmse == null ? null : r.error.relmse.toPrecision(3) + " (95 %: "
     + r.error.relmse_low.toPrecision(3) + " to " + r.error.relmse_high.toPrecision(3) + ")"
     + (r.error.heavy_tail ? "; heavy tail: not to be trusted" : ""));
-  put(list, "Worst cell", r.error.worst_cell == null ? null : "at " + r.error.worst_cell.x + ","
+  put(list, "worst cell", r.error.worst_cell == null ? null : "at " + r.error.worst_cell.x + ","
     + r.error.worst_cell.y + ": " + r.error.worst_cell.relmse.toPrecision(3));
-  put(list, "Stopped by", r.stopped_by == null || r.stopped_by === "spp" ? null : r.stopped_by);
+  put(list, "stopped by", r.stopped_by == null || r.stopped_by === "spp" ? null : r.stopped_by);
   put(list, "seconds", Object.entries(r.seconds).filter(([, v]) => v != null)
     .map(([k, v]) => k.replace("_", " ") + " " + v.toFixed(2)).join(", "));
   put(list, "core seconds", r.core_seconds.toFixed(1));
@@ -197,7 +197,7 @@ function workerRow(w) {
   }
   row.append(text("td", w.id), text("td", w.name), text("td", w.state, "state " + w.state.replace(" ", "-")),
     text("td", w.job || "-"),
-    text("td", w.threads, "number"), text("td", rays(w.speed_rays_s), "number"),
+    text("td", w.threads, "number"), text("td", w.speed_rays_s > 0 ? rays(w.speed_rays_s) : "-", "number"),
     text("td", w.units, "number"), text("td", w.lost, "number"),
     text("td", w.note || (w.tags.length ? "tags " + w.tags.join(", ") : "")), last);
   return row;

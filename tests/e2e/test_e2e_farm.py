@@ -1,6 +1,7 @@
 """A farm as people use it: submit, watch, list, steer, fetch; and how it refuses."""
 import json
 import re
+import signal
 import socket
 import subprocess
 
@@ -79,7 +80,7 @@ def test_jobs_table_and_json(farm):
 
 def test_workers_table_and_json(farm):
     text = farm.cli("workers").stdout.splitlines()
-    assert text[0].split() == ["WORKER", "HOST", "STATE", "JOB", "THREADS", "SPEED", "UNITS",
+    assert text[0].split() == ["WORKER", "NAME", "HOST", "STATE", "JOB", "THREADS", "SPEED", "UNITS",
                                "LOST", "SEEN", "NOTE"]
     rows = json.loads(farm.cli("workers", "--json").stdout)
     assert {row["name"] for row in rows} >= {"alpha", "beta"}
@@ -277,6 +278,26 @@ def test_determinism_refusal(tmp_path):
         assert "determinism" in worker.log()
         assert json.loads(farm.cli("workers", "--json").stdout) == [] or all(
             row["state"] == "lost" for row in json.loads(farm.cli("workers", "--json").stdout))
+
+
+def test_gone_workers_are_forgotten(tmp_path):
+    """A worker that left, and one that was lost, go from the list after a while; those at work
+    stay, and one that returns has its id."""
+    with Farm(tmp_path, master_arguments=("--keep-lost", "2")) as farm:
+        def states():
+            rows = json.loads(farm.cli("workers", "--json").stdout)
+            return {row["id"]: row["state"] for row in rows}
+
+        stays, leaves, dies = farm.worker(), farm.worker(), farm.worker()
+        leaves.signal(signal.SIGTERM)
+        dies.signal(signal.SIGKILL)
+        wait_until(lambda: states().get(dies.id) == "lost", "the loss to be seen")
+        assert leaves.id in states()
+        wait_until(lambda: list(states()) == [stays.id], "those that are gone to be forgotten")
+        stays.signal(signal.SIGSTOP)
+        wait_until(lambda: not states(), "the silent one to be forgotten")
+        stays.signal(signal.SIGCONT)
+        wait_until(lambda: states() == {stays.id: "idle"}, "its return")
 
 
 def test_ctrl_c_leaves_the_job_alone(farm):
