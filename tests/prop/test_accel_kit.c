@@ -93,8 +93,18 @@ static size_t masked_differences(const struct accel *b, const struct ray *rays, 
     return bad;
 }
 
-size_t kit_differences(const struct accel *a, const struct accel *b, const struct ray *rays,
-                       size_t count)
+struct hit *kit_hits(const struct accel *a, const struct ray *rays, size_t count)
+{
+    struct hit *hits = mem_alloc_array(count, sizeof *hits);
+    if (!hits)
+        abort();
+    for (size_t i = 0; i < count; i++)
+        accel_closest(a, &rays[i], &hits[i]);
+    return hits;
+}
+
+size_t kit_disagreements(const struct hit *want, const struct accel *b, const struct ray *rays,
+                         size_t count)
 {
     struct hit *hits = mem_alloc_array(count, sizeof *hits);
     uint8_t *occluded = mem_alloc_array(count, 1);
@@ -104,17 +114,25 @@ size_t kit_differences(const struct accel *a, const struct accel *b, const struc
     accel_closest_batch(b, rays, count, hits);
     accel_occluded_batch(b, rays, count, occluded);
     for (size_t i = 0; i < count; i++) {
-        struct hit want, got;
-        accel_closest(a, &rays[i], &want);
+        struct hit got;
         accel_closest(b, &rays[i], &got);
-        bool blocked = want.object != SCENE_NONE;
-        bad += !same_hit(&want, &got) || !same_hit(&want, &hits[i]) ||
+        bool blocked = want[i].object != SCENE_NONE;
+        bad += !same_hit(&want[i], &got) || !same_hit(&want[i], &hits[i]) ||
                accel_occluded(b, &rays[i]) != blocked || (occluded[i] != 0) != blocked;
     }
     const size_t some = 500; /* these are traced eight times more */
     bad += masked_differences(b, rays, count < some ? count : some, hits, occluded);
     mem_free(hits);
     mem_free(occluded);
+    return bad;
+}
+
+size_t kit_differences(const struct accel *a, const struct accel *b, const struct ray *rays,
+                       size_t count)
+{
+    struct hit *want = kit_hits(a, rays, count);
+    size_t bad = kit_disagreements(want, b, rays, count);
+    mem_free(want);
     return bad;
 }
 

@@ -9,7 +9,15 @@
  * origins, short intervals and directions of very different lengths. */
 void kit_ray(const struct trace_scene *s, uint64_t *state, size_t i, struct ray *out);
 
-/* How many of the rays two accels answer differently in any bit, single, batch and any hit. */
+/* The closest hits by single calls; the caller frees them with mem_free. */
+struct hit *kit_hits(const struct accel *a, const struct ray *rays, size_t count);
+
+/* How many of the rays b does not answer with these hits, bit for bit, single, batch and any hit.
+ */
+size_t kit_disagreements(const struct hit *want, const struct accel *b, const struct ray *rays,
+                         size_t count);
+
+/* The same of the hits of another accel. */
 size_t kit_differences(const struct accel *a, const struct accel *b, const struct ray *rays,
                        size_t count);
 
