@@ -9,7 +9,10 @@
  * default and ROBUST) on the same rays in turn, several times; a ratio above 1 means
  * that ours is faster. Filling each side's ray structures is timed. One thread is timed
  * by the processor's clock, which other work on the machine disturbs less. With --mesh the
- * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar. --fast
+ * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar. After each case
+ * the answers are compared: single calls against batches bit for bit, and with each peer; where
+ * ours and a peer's are apart, brute force in __float128 says which is wrong. Exit status: 0; 1 if
+ * an answer of ours was wrong; 2 usage; 3 a file that cannot be read; 5 anything else. --fast
  * also times scenes with --precision fast, against exact; --compact times compact trees against
  * normal ones, --sbvh those of builder sbvh against sah's. The SAH cost of Embree's builder is that
  * of the tree that its rtcBuildBVH makes of the same boxes, as binary as ours is before it is made
@@ -17,18 +20,27 @@
  */
 #include <errno.h>
 #include <getopt.h>
+#include <inttypes.h>
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "common/mem.h"
 #include "common/model_file.h"
 #include "common/ply_file.h"
 #include "common/scene.h"
+#include "tests/bench/trace_agree.h"
 #include "tests/bench/trace_peer.h"
 
-enum { RUNS_MAX = 99, PEERS_MAX = 4, THREADS_MAX = 2, CHUNK = 1024 };
+enum {
+    RUNS_MAX = 99,
+    PEERS_MAX = 4,
+    THREADS_MAX = 2,
+    CHUNK = 1024,
+    JUDGED_MAX = 100, /* rays a peer, by brute force */
+};
 
 struct options {
     bool quick, shadow;
@@ -43,6 +55,7 @@ struct bench {
     struct options options;
     FILE *json;
     bool first_case;
+    bool wrong;                                       /* an answer of ours was */
     struct trace_peer *peers[THREADS_MAX][PEERS_MAX]; /* [threads - 1] */
     const char *peer_names[PEERS_MAX];
     bool peer_robust[PEERS_MAX];
@@ -264,10 +277,49 @@ static void time_rays(struct bench *b, const char *scene, const char *kind, cons
         }
     }
     printf("  %4.1f%%\n", 100.0 * (double)hits[0] / (double)rays->count);
-    if (hits[0] != hits[1])
-        printf("  batch and single differ: %zu and %zu hits\n", hits[1], hits[0]);
     if (b->other)
         print_other(b, scene, kind, threads, rate, rate + peers_end, other);
+    fflush(stdout);
+}
+
+/* --- Agreement -------------------------------------------------------------- */
+
+static void json_check(struct bench *b, const char *scene, const char *kind, const char *with,
+                       size_t rays, const struct trace_agreement *g)
+{
+    if (!b->json)
+        return;
+    fprintf(b->json,
+            "%s\n  {\"scene\": \"%s\", \"rays\": \"%s\", \"check\": \"%s\", \"of\": %zu, "
+            "\"differ\": %zu, "
+            "\"judged\": %zu, \"wrong\": %zu, \"theirs_wrong\": %zu}",
+            b->first_case ? "" : ",", scene, kind, with, rays, g->apart, g->judged, g->wrong,
+            g->theirs);
+    b->first_case = false;
+}
+
+/* Where single calls, batches and peers do not find the same, and who is right. */
+static void check_rays(struct bench *b, const char *scene, const char *kind,
+                       const struct trace_scene *s, const struct accel *a,
+                       const struct trace_rays *rays, bool shadow)
+{
+    if (rays->count == 0)
+        return;
+    struct trace_agreement g = {.apart = trace_agree_batch(a, rays, shadow)};
+    json_check(b, scene, kind, "batch", rays->count, &g);
+    if (g.apart > 0) {
+        printf("  single and batch differ on %zu rays\n", g.apart);
+        b->wrong = true;
+    }
+    for (int peer = 0; peer < b->peer_count; peer++) {
+        g = trace_agree_peer(a, b->peers[0][peer], s, rays, shadow, JUDGED_MAX);
+        json_check(b, scene, kind, b->peer_names[peer], rays->count, &g);
+        if (g.apart > 0)
+            printf("  %s differs on %zu of %zu rays; of %zu judged, ours are wrong on %zu, its on "
+                   "%zu\n",
+                   b->peer_names[peer], g.apart, rays->count, g.judged, g.wrong, g.theirs);
+        b->wrong = b->wrong || g.wrong > 0;
+    }
     fflush(stdout);
 }
 
@@ -443,6 +495,9 @@ static void bench_scene(struct bench *b, enum trace_scene_id id)
                 exit(5);
             time_rays(b, trace_scene_names[id], trace_rays_names[kind], a, &rays,
                       kind == TRACE_SHADOW, threads);
+            if (threads == 1)
+                check_rays(b, trace_scene_names[id], trace_rays_names[kind], &s, a, &rays,
+                           kind == TRACE_SHADOW);
             trace_rays_release(&rays);
         }
         free_both(b, a);
@@ -454,7 +509,10 @@ static char *read_file(const char *path, size_t *bytes)
 {
     FILE *f = fopen(path, "rb");
     long size = -1;
-    if (f && fseek(f, 0, SEEK_END) == 0)
+    struct stat what;
+    if (f && fstat(fileno(f), &what) == 0 && S_ISDIR(what.st_mode))
+        errno = EISDIR;
+    else if (f && fseek(f, 0, SEEK_END) == 0)
         size = ftell(f);
     char *data = size >= 0 ? mem_alloc((size_t)size + 1) : NULL;
     if (!data || fseek(f, 0, SEEK_SET) != 0 || fread(data, 1, (size_t)size, f) != (size_t)size) {
@@ -525,7 +583,11 @@ static void read_rays(const char *path, struct trace_rays *out)
     if (bytes >= sizeof count)
         memcpy(&count, data, sizeof count);
     if (bytes != sizeof count + (size_t)count * sizeof *out->ray) {
-        fprintf(stderr, "bench_trace: %s: expected a count and 8 floats for each ray\n", path);
+        fprintf(
+            stderr,
+            "bench_trace: %s: expected a count and 8 floats for each ray: %zu bytes for %" PRIu32
+            " rays, not %zu\n",
+            path, sizeof count + (size_t)count * sizeof *out->ray, count, bytes);
         exit(3);
     }
     out->count = count;
@@ -535,6 +597,8 @@ static void read_rays(const char *path, struct trace_rays *out)
     memcpy(out->ray, data + sizeof count, count * sizeof *out->ray);
     mem_free(data);
     rays_keep_sane(path, out);
+    if (out->count == 0)
+        fprintf(stderr, "bench_trace: %s: there is no ray to be timed\n", path);
 }
 
 static void bench_files(struct bench *b)
@@ -550,6 +614,9 @@ static void bench_files(struct bench *b)
         build_other(b, "mesh", &s, threads);
         time_rays(b, "mesh", b->options.shadow ? "shadow" : "closest", a, &rays, b->options.shadow,
                   threads);
+        if (threads == 1)
+            check_rays(b, "mesh", b->options.shadow ? "shadow" : "closest", &s, a, &rays,
+                       b->options.shadow);
         free_both(b, a);
     }
     trace_rays_release(&rays);
@@ -695,5 +762,5 @@ int main(int argc, char **argv)
     for (int p = 0; p < b.peer_count; p++)
         for (int threads = 0; threads < THREADS_MAX; threads++)
             trace_peer_free(b.peers[threads][p]);
-    return found ? 0 : usage();
+    return !found ? usage() : b.wrong ? 1 : 0;
 }

@@ -4,6 +4,7 @@ find_path(EMBREE_INCLUDE embree3/rtcore.h)
 if(TILERY_TESTS AND EMBREE_LIBRARY AND EMBREE_INCLUDE)
   set(bench_dir ${PROJECT_SOURCE_DIR}/tests/bench)
   add_library(trace_peer STATIC ${bench_dir}/trace_peer.c ${bench_dir}/trace_scene.c
+    ${bench_dir}/trace_agree.c ${bench_dir}/trace_judge.c
     ${PROJECT_SOURCE_DIR}/scenes/gen_mesh.c)
   target_include_directories(trace_peer SYSTEM PRIVATE ${EMBREE_INCLUDE})
   target_link_libraries(trace_peer PUBLIC tl_render ${EMBREE_LIBRARY} ${CMAKE_DL_LIBS}

@@ -16,72 +16,12 @@
 
 #include "common/mem.h"
 #include "common/scene.h"
+#include "tests/bench/trace_judge.h"
 #include "tests/bench/trace_peer.h"
 #include "tests/prop/test_accel_kit.h"
 #include "worker/render/accel_parts.h"
 
 static bool is_long;
-
-/* --- The arbiter ------------------------------------------------------------ */
-
-struct verdict {
-    __float128 least_weight; /* of the three, as parts of 1; inside when >= 0 */
-    __float128 t;
-    bool flat;
-};
-
-/* The line through a triangle by triple products, which floats make all but exact. */
-static void judge(const struct ray *ray, const float *positions, const uint32_t *index,
-                  struct verdict *out)
-{
-    __float128 p[3][3], w[3], d[3], n[3];
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++)
-            p[i][k] =
-                (__float128)positions[3 * (size_t)index[i] + (size_t)k] - (__float128)ray->org[k];
-    for (int k = 0; k < 3; k++)
-        d[k] = (__float128)ray->dir[k];
-    for (int i = 0; i < 3; i++) {
-        const __float128 *a = p[(i + 1) % 3], *b = p[(i + 2) % 3];
-        w[i] = d[0] * (a[1] * b[2] - a[2] * b[1]) + d[1] * (a[2] * b[0] - a[0] * b[2]) +
-               d[2] * (a[0] * b[1] - a[1] * b[0]);
-    }
-    __float128 det = w[0] + w[1] + w[2], least = 1;
-    for (int k = 0; k < 3; k++) {
-        int x = (k + 1) % 3, y = (k + 2) % 3;
-        n[k] =
-            (p[1][x] - p[0][x]) * (p[2][y] - p[0][y]) - (p[1][y] - p[0][y]) * (p[2][x] - p[0][x]);
-    }
-    __float128 along = n[0] * d[0] + n[1] * d[1] + n[2] * d[2];
-    out->flat = det == 0 || along == 0;
-    if (out->flat)
-        return;
-    for (int i = 0; i < 3; i++)
-        least = w[i] / det < least ? w[i] / det : least;
-    out->least_weight = least;
-    out->t = (n[0] * p[0][0] + n[1] * p[0][1] + n[2] * p[0][2]) / along;
-}
-
-/* Is this answer the nearest hit, but for 1e-9 of an edge and of t? */
-static bool is_right(const struct trace_scene *s, const struct ray *ray, uint32_t primitive)
-{
-    const struct accel_mesh *m = &s->views[0];
-    const __float128 margin = 1e-9Q;
-    struct verdict ours = {.t = (__float128)ray->tmax}, other;
-    if (primitive != SCENE_NONE) {
-        judge(ray, m->positions, &m->indices[3 * (size_t)primitive], &ours);
-        if (ours.flat || ours.least_weight < -margin)
-            return false;
-    }
-    for (uint32_t i = 0; i < m->triangle_count; i++) {
-        judge(ray, m->positions, &m->indices[3 * (size_t)i], &other);
-        if (!other.flat && other.least_weight > margin &&
-            other.t > (__float128)(ray->tmin + (double)margin) &&
-            other.t < ours.t * (1 - margin) - margin)
-            return false;
-    }
-    return true;
-}
 
 /* --- Embree ------------------------------------------------------------------ */
 
@@ -137,8 +77,8 @@ static void check_scene(enum trace_scene_id id, size_t count)
             differ++;
             if (judged++ >= JUDGED_MAX && !is_long)
                 continue;
-            wrong_ours += !is_right(&s, &rays[j], ours);
-            wrong_theirs += !is_right(&s, &rays[j], other);
+            wrong_ours += !trace_judge_closest(&s, &rays[j], ours);
+            wrong_theirs += !trace_judge_closest(&s, &rays[j], other);
         }
     }
     printf("  %s: %zu rays, Embree (ROBUST) differs on %zu; wrong: we %zu, Embree %zu\n",
