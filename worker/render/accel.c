@@ -493,6 +493,16 @@ static const struct trace_kernel *kernel_choose(const struct accel_options *o)
     return kernels[form][0];
 }
 
+/* From how much slack on boxes are better met in double. Float knows positions to u R: from 2^12
+ * reaches away that is still a fraction of a triangle in scenes of millions. */
+static double far_slack_of(const struct accel *a)
+{
+    bool triangles = a->options.precision != JOB_PRECISION_FAST;
+    for (size_t i = 0; i < a->object_count; i++)
+        triangles = triangles && a->objects[i].type == ACCEL_TRIANGLES;
+    return triangles ? 0x1p-30 * TRACE_FAR * a->scene_tree.reach : (double)INFINITY;
+}
+
 static enum err accel_make(const struct accel_input *input, const struct accel_options *options,
                            const struct accel_runner *runner, struct source from,
                            struct accel **out)
@@ -509,11 +519,13 @@ static enum err accel_make(const struct accel_input *input, const struct accel_o
     a->pad = options->precision == JOB_PRECISION_FAST ? TRACE_PAD_FAST : TRACE_PAD;
     enum err err = build(a, input, runner, &from);
     mem_free(from.saved);
-    if (err)
+    if (err) {
         accel_free(a);
-    else
-        *out = a;
-    return err;
+        return err;
+    }
+    a->far_slack = far_slack_of(a);
+    *out = a;
+    return ERR_OK;
 }
 
 enum err accel_new(const struct accel_input *input, const struct accel_options *options,

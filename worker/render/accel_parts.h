@@ -34,6 +34,10 @@ extern const struct trace_kernel trace_sse2_compact, trace_avx2_compact, trace_a
 extern const struct trace_kernel trace_sse2_fast, trace_avx2_fast, trace_avx512_fast;
 extern const struct trace_kernel trace_avx2_flat, trace_avx512_flat;
 
+/* Rays with tmin >= 0 from so far away that float's boxes would all be met (trace_far.c). */
+void trace_far_closest(const struct accel *a, const struct ray *ray, struct hit *out);
+bool trace_far_occluded(const struct accel *a, const struct ray *ray);
+
 /* An instance's matrices by column, for whole vectors to be loaded. */
 struct accel_motion {
     double from_scene[4][4], to_scene[3][4];
@@ -74,6 +78,7 @@ struct accel {
     const struct trace_kernel *kernel;
     struct accel_options options;
     double pad;                /* of rays: see trace.h */
+    double far_slack;          /* a ray with more of it is for trace_far.c */
     struct accel_mesh *meshes; /* copies of the input's arrays */
     struct accel_object *objects;
     size_t mesh_count, object_count;

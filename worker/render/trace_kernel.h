@@ -363,6 +363,12 @@ static __attribute__((noinline)) bool mesh_any(const struct accel *a, const stru
     return walk_any(a, tree, r, tmin, tmax);
 }
 
+/* Float's boxes would all be met: trace_far.c. */
+static inline bool ray_is_far(const struct accel *a, const struct trace_ray *r)
+{
+    return __builtin_expect(r->slack > a->far_slack, 0);
+}
+
 static void kernel_closest(const struct accel *a, const struct ray *ray, struct hit *out)
 {
     struct trace_ray ready;
@@ -374,6 +380,10 @@ static void kernel_closest(const struct accel *a, const struct ray *ray, struct 
         return;
     }
     if (ready_scene_ray(a, ray, &ready, &tmin, &best.tmax)) {
+        if (ray_is_far(a, &ready)) {
+            trace_far_closest(a, ray, out);
+            return;
+        }
         best.t = best.tmax;
         mesh_closest(a, &a->scene_tree, &ready, tmin, SCENE_NONE, &best);
     }
@@ -389,8 +399,11 @@ static bool kernel_occluded(const struct accel *a, const struct ray *ray)
     double tmin, tmax;
     if (!(ray->tmin >= 0.0))
         return trace_plain.occluded(a, ray);
-    return ready_scene_ray(a, ray, &ready, &tmin, &tmax) &&
-           walk_any(a, &a->scene_tree, &ready, tmin, tmax);
+    if (!ready_scene_ray(a, ray, &ready, &tmin, &tmax))
+        return false;
+    if (ray_is_far(a, &ready))
+        return trace_far_occluded(a, ray);
+    return walk_any(a, &a->scene_tree, &ready, tmin, tmax);
 }
 
 /* --- Many rays, few triangles ---------------------------------------------- */
@@ -404,7 +417,7 @@ struct guest {
     struct leaf_pending pending;
     double tmin;
     size_t index;
-    bool walks;
+    enum { GUEST_HITS_NOTHING, GUEST_WALKS, GUEST_APART } way; /* apart: not by this walk */
 #ifdef TRACE_COMPACT
     struct bvh_leaf room[TRACE_ROOM];
 #endif
@@ -429,11 +442,28 @@ static size_t guests_ready(struct guest *guests, const struct accel *a, const st
         g->index = i;
         g->best =
             (struct trace_best){.object = SCENE_NONE, .primitive = SCENE_NONE, .room = ROOM_OF(g)};
-        g->walks =
-            rays[i].tmin >= 0.0 && ready_scene_ray(a, &rays[i], &g->ray, &g->tmin, &g->best.tmax);
+        if (!(rays[i].tmin >= 0.0))
+            g->way = GUEST_APART;
+        else if (!ready_scene_ray(a, &rays[i], &g->ray, &g->tmin, &g->best.tmax))
+            g->way = GUEST_HITS_NOTHING;
+        else
+            g->way = ray_is_far(a, &g->ray) ? GUEST_APART : GUEST_WALKS;
         g->best.t = g->best.tmax;
     }
     return used;
+}
+
+static void apart_closest(const struct accel *a, const struct ray *ray, struct hit *out)
+{
+    if (ray->tmin >= 0.0)
+        trace_far_closest(a, ray, out);
+    else
+        trace_plain.closest(a, ray, out);
+}
+
+static bool apart_occluded(const struct accel *a, const struct ray *ray)
+{
+    return ray->tmin >= 0.0 ? trace_far_occluded(a, ray) : trace_plain.occluded(a, ray);
 }
 
 static void few_closest(const struct accel *a, const struct ray *rays, const uint8_t *active,
@@ -444,18 +474,18 @@ static void few_closest(const struct accel *a, const struct ray *rays, const uin
     while ((used = guests_ready(guests, a, rays, active, count, &next)) > 0) {
         for (size_t i = 0; i < used; i++) {
             struct guest *g = &guests[i];
-            if (g->walks)
+            if (g->way == GUEST_WALKS)
                 walk_closest(a, &a->scene_tree, &g->ray, g->tmin, SCENE_NONE, &g->pending,
                              &g->best);
         }
         for (size_t i = 0; i < used; i++) {
             struct guest *g = &guests[i];
-            if (g->walks)
+            if (g->way == GUEST_WALKS)
                 pending_settle(a, &g->ray, g->tmin, SCENE_NONE, &g->pending, &g->best);
             if (g->best.found)
                 ready_hit(a, &g->ray, &g->best, &hits[g->index]);
-            else if (rays[g->index].tmin < 0.0)
-                trace_plain.closest(a, &rays[g->index], &hits[g->index]);
+            else if (g->way == GUEST_APART)
+                apart_closest(a, &rays[g->index], &hits[g->index]);
             else
                 hits[g->index].object = SCENE_NONE;
         }
@@ -471,8 +501,10 @@ static void few_occluded(const struct accel *a, const struct ray *rays, const ui
         for (size_t i = 0; i < used; i++) {
             const struct guest *g = &guests[i];
             const struct ray *ray = &rays[g->index];
-            occluded[g->index] = g->walks ? walk_any(a, &a->scene_tree, &g->ray, g->tmin, g->best.t)
-                                          : ray->tmin < 0.0 && trace_plain.occluded(a, ray);
+            if (g->way == GUEST_WALKS)
+                occluded[g->index] = walk_any(a, &a->scene_tree, &g->ray, g->tmin, g->best.t);
+            else
+                occluded[g->index] = g->way == GUEST_APART && apart_occluded(a, ray);
         }
 }
 
@@ -630,10 +662,12 @@ static bool closest_next(struct runner *s, const struct accel *a, const struct r
             continue;
         if (!(rays[s->index].tmin >= 0.0))
             trace_plain.closest(a, &rays[s->index], &hits[s->index]);
-        else if (runner_start(s, a, &rays[s->index]))
-            return true;
-        else
+        else if (!runner_start(s, a, &rays[s->index]))
             hits[s->index].object = SCENE_NONE;
+        else if (ray_is_far(a, &s->ray))
+            trace_far_closest(a, &rays[s->index], &hits[s->index]);
+        else
+            return true;
     }
     return false;
 }
@@ -677,10 +711,12 @@ static bool occluded_next(struct runner *s, const struct accel *a, const struct 
             continue;
         if (!(rays[s->index].tmin >= 0.0))
             occluded[s->index] = trace_plain.occluded(a, &rays[s->index]);
-        else if (runner_start(s, a, &rays[s->index]))
-            return true;
-        else
+        else if (!runner_start(s, a, &rays[s->index]))
             occluded[s->index] = 0;
+        else if (ray_is_far(a, &s->ray))
+            occluded[s->index] = trace_far_occluded(a, &rays[s->index]);
+        else
+            return true;
     }
     return false;
 }

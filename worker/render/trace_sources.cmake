@@ -33,6 +33,7 @@ set(trace_sources
   ${trace_dir}/trace_avx512_fast.c
   ${trace_dir}/trace_avx512_flat.c
   ${trace_dir}/trace_compress.c
+  ${trace_dir}/trace_far.c
   ${trace_dir}/trace_plain.c
   ${trace_dir}/trace_sse2.c
   ${trace_dir}/trace_sse2_compact.c
@@ -40,7 +41,8 @@ set(trace_sources
 # gcc unrolls the loops over three axes only at -O3.
 set(trace_fast $<$<CONFIG:Release>:-O3>)
 set(trace_avx2_flags -mavx2 -mfma -mbmi -mbmi2 -mlzcnt -mpopcnt)
-set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/trace.c ${trace_dir}/trace_sse2.c
+set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/trace.c ${trace_dir}/trace_far.c
+  ${trace_dir}/trace_sse2.c
   ${trace_dir}/trace_sse2_compact.c ${trace_dir}/trace_sse2_fast.c PROPERTIES
   COMPILE_OPTIONS "${trace_fast}")
 set_source_files_properties(${trace_dir}/bvh_split_avx2.c PROPERTIES COMPILE_OPTIONS -mavx2)
