@@ -21,7 +21,8 @@ enum {
     TRACE_BATCH = 16,
     PUT_OFF_MAX = 32, /* objects that wait for their tree until nothing else is left */
     STACK_SLACK = BVH_WIDTH + PUT_OFF_MAX,
-    INTERLEAVE_MIN = 1 << 16, /* bytes of a tree that does not stay in the innermost cache */
+    INTERLEAVE_MIN = 1 << 19,     /* bytes of a tree that does not stay in a core's own caches */
+    INTERLEAVE_ANY_MIN = 1 << 16, /* the same where no order of visits is kept up */
 };
 
 /* The kernel for few triangles that goes with this one. */
@@ -303,6 +304,7 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
     slabs_init(&slabs, r);
     const struct leaf_span span = leaf_span_of(tmin, tmax);
     f8 from = f8_splat(span.from), to = f8_splat(span.to), entry;
+    const bool sorted = a->motions != NULL || a->lazy != NULL;
     enum waiting waits;
     for (;;) {
         switch ((enum bvh_kind)(ref & 3)) {
@@ -316,9 +318,16 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
                 ref = node->child[__builtin_ctz(mask)];
                 continue;
             }
-            /* What is near blocks more often than what is far: that pays for sorting. */
+            /* Shadow rays leave a surface, which is near and blocks nothing: sorting costs more
+             * than it saves, but for what is dear to enter: instances, and trees yet to be built.
+             */
             unsigned count = (unsigned)__builtin_popcount(mask);
-            ref = children_sort(entry, mask, count, node->child, keys + top, refs + top);
+            if (sorted) {
+                ref = children_sort(entry, mask, count, node->child, keys + top, refs + top);
+            } else {
+                children_list(mask, node->child, refs + top);
+                ref = refs[top + count - 1];
+            }
             top += count - 1;
             prefetch(arena, refs[top - 1]);
             continue;
@@ -724,7 +733,7 @@ static bool occluded_next(struct runner *s, const struct accel *a, const struct 
 static void kernel_occluded_batch(const struct accel *a, const struct ray *rays,
                                   const uint8_t *active, size_t count, uint8_t *occluded)
 {
-    if (a->scene_tree.bytes < INTERLEAVE_MIN && !a->lazy) {
+    if (a->scene_tree.bytes < INTERLEAVE_ANY_MIN && !a->lazy) {
         few_occluded(a, rays, active, count, occluded);
         return;
     }
