@@ -1,22 +1,12 @@
 #include "worker/render/sky.h"
 
+#include "worker/render/sky_parts.h"
+
 static const double below_one = 1.0 - 1.0 / 9007199254740992.0;
 
 uint32_t sky_table(vec3 n)
 {
-    double sum = v3_abs_sum(n);
-    if (!(sum > 0))
-        return SKY_ANYWHERE;
-    double x = n.x / sum, y = n.y / sum;
-    if (n.z < 0) {
-        double folded = copysign(1 - fabs(y), x);
-        y = copysign(1 - fabs(x), y);
-        x = folded;
-    }
-    double half = (SKY_GRID - 1) / 2;
-    uint32_t column = (uint32_t)(x * half + (half + 0.5)),
-             row = (uint32_t)(y * half + (half + 0.5));
-    return row * SKY_GRID + column;
+    return (uint32_t)sky_table_at(n);
 }
 
 vec3 sky_unfolded(double x, double y)
@@ -74,22 +64,8 @@ double sky_draw(const struct sky_map *m, uint32_t table, double u, double v, dou
            ((double)m->width * m->height);
 }
 
-static uint32_t cell_of(double x, uint32_t count)
-{
-    double at = x * count;
-    return !(at > 0) ? 0 : at >= count - 1 ? count - 1 : (uint32_t)at;
-}
-
 double sky_density(const struct sky_map *m, uint32_t table, double x, double y)
 {
-    uint32_t column = cell_of(x, m->width), row = cell_of(y, m->height);
-    uint32_t across = column / m->block_width, down = row / m->block_height;
-    const struct sky_choice *c = &m->choices[table];
-    double block =
-        (c->row[down + 1] - c->row[down]) * (c->column[down][across + 1] - c->column[down][across]);
-    const double *rows = m->down + (size_t)across * (m->height + 1);
-    const double *cells = m->along + (size_t)row * (m->width + 1);
-    return block * (cells[column + 1] - cells[column]) /
-           (rows[(down + 1) * m->block_height] - rows[down * m->block_height]) *
-           ((double)m->width * m->height);
+    return sky_cell_density(m, table, (uint32_t)sky_cell_at(x, m->width),
+                            (uint32_t)sky_cell_at(y, m->height));
 }

@@ -3,24 +3,14 @@
  * functions' names; the instruction set is the compiler's business. The steps are those of sky.c
  * and light.c. */
 #include "worker/render/sky_batch.h"
+#include "worker/render/sky_parts.h"
 #include "worker/render/warp.h"
 
 /* sky_table() for all normals. */
 static inline void find_tables(struct sky_batch *b)
 {
-    for (int i = 0; i < SKY_BATCH; i++) {
-        vec3 n = v3(b->n[0][i], b->n[1][i], b->n[2][i]);
-        double sum = v3_abs_sum(n);
-        bool there = sum > 0, below = n.z < 0;
-        double x = n.x / (there ? sum : 1), y = n.y / (there ? sum : 1);
-        double folded_x = copysign(1 - fabs(y), x), folded_y = copysign(1 - fabs(x), y);
-        x = below ? folded_x : x;
-        y = below ? folded_y : y;
-        double half = (SKY_GRID - 1) / 2;
-        int32_t column = (int32_t)(x * half + (half + 0.5)),
-                row = (int32_t)(y * half + (half + 0.5));
-        b->table[i] = (uint32_t)(there ? row * SKY_GRID + column : SKY_ANYWHERE);
-    }
+    for (int i = 0; i < SKY_BATCH; i++)
+        b->table[i] = (uint32_t)sky_table_at(v3(b->n[0][i], b->n[1][i], b->n[2][i]));
 }
 
 /* find() of sky.c: moves each at[i] from the first of `count` ascending sums to the last that is
@@ -175,29 +165,6 @@ void SKY_DRAW(const struct environment *e, struct sky_batch *b)
     find_directions(e->to_local, b);
 }
 
-/* sky_density(). */
-static inline double density_at(const struct sky_map *m, uint32_t table, uint32_t column,
-                                uint32_t row)
-{
-    uint32_t across = column / m->block_width, down = row / m->block_height;
-    const struct sky_choice *c = &m->choices[table];
-    double block =
-        (c->row[down + 1] - c->row[down]) * (c->column[down][across + 1] - c->column[down][across]);
-    const double *rows = m->down + (size_t)across * (m->height + 1);
-    const double *cells = m->along + (size_t)row * (m->width + 1);
-    return block * (cells[column + 1] - cells[column]) /
-           (rows[(down + 1) * m->block_height] - rows[down * m->block_height]) *
-           ((double)m->width * m->height);
-}
-
-/* cell_of() of sky.c. */
-static inline int32_t cell_of(double x, double count)
-{
-    double at = x * count, last = count - 1;
-    at = at > 0 ? at : 0;
-    return (int32_t)(at < last ? at : last);
-}
-
 /* The points of the map in the directions; their sines to the poles. */
 static inline void find_points(const double m[9], struct sky_batch *b, double sines[])
 {
@@ -226,11 +193,11 @@ void SKY_LOOK(const struct environment *e, struct sky_batch *b)
     find_tables(b);
     find_points(e->to_local, b, sines);
     for (int i = 0; i < SKY_BATCH; i++) {
-        columns[i] = cell_of(b->x[i], width);
-        rows[i] = cell_of(b->y[i], height);
+        columns[i] = sky_cell_at(b->x[i], width);
+        rows[i] = sky_cell_at(b->y[i], height);
     }
     for (int i = 0; i < SKY_BATCH; i++)
-        b->density[i] = density_at(m, b->table[i], (uint32_t)columns[i], (uint32_t)rows[i]);
+        b->density[i] = sky_cell_density(m, b->table[i], (uint32_t)columns[i], (uint32_t)rows[i]);
     for (int i = 0; i < SKY_BATCH; i++) {
         double pdf = b->density[i] / (2 * VEC_PI * VEC_PI * sines[i]);
         b->pdf[i] = sines[i] > 0 ? pdf : 0;
