@@ -60,7 +60,7 @@ numerics_program(test_beyond LINKS tl_worker
        test_beyond_dim_beside_bright test_beyond_many_samples test_beyond_panorama_poles
        test_beyond_one_bright_texel test_beyond_wide_view test_beyond_wide_lens
        test_beyond_conductor_indices test_beyond_screw_on_a_planet
-       test_beyond_screws_of_any_size)
+       test_beyond_screws_of_any_size test_beyond_layers_scatter test_beyond_layers_in_pictures)
 
 # What other methods make of the rows; plot.py draws it.
 if(TARGET trace_peer)

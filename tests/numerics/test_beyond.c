@@ -8,6 +8,9 @@
 #include "common/mem.h"
 #include "tests/numerics/closed_mesh.h"
 #include "tests/render/render_kit.h"
+#include "worker/render/bsdf.h"
+#include "worker/render/sampler.h"
+#include "worker/render/warp.h"
 
 static const double pi = 3.14159265358979323846;
 
@@ -456,6 +459,147 @@ static void test_beyond_screws_of_any_size(void **state)
     kit_picture_free(&first);
 }
 
+static double random_value(uint64_t *state)
+{
+    *state += UINT64_C(0x9e3779b97f4a7c15);
+    return (double)(sampler_mix(*state) >> 11) / 9007199254740992.0;
+}
+
+/* A value that a factor may have, up to the 1e30 that only scene files ask for. */
+static double factor(uint64_t *random)
+{
+    static const double ends[] = {0, 1e-30, 0.3, 1, 65535, 1e30};
+    return ends[(int)(random_value(random) * 6)];
+}
+
+/* The same of a share. */
+static double share(uint64_t *random)
+{
+    static const double ends[] = {0, 1e-30, 1e-9, 0.3, 0.999999, 1};
+    return ends[(int)(random_value(random) * 6)];
+}
+
+static vec3 random_direction(uint64_t *random)
+{
+    static const double grazing[] = {1, 1e-3, 1e-9, 1e-20, 1e-300};
+    double z = random_value(random), s, c;
+    z = z < 0.5 ? 2 * z : grazing[(int)(10 * (z - 0.5))];
+    warp_sincos_turn(random_value(random), &s, &c);
+    double sine = sqrt((1 - z) * (1 + z));
+    return v3(sine * c, sine * s, random_value(random) < 0.5 ? -z : z);
+}
+
+static void assert_light(rgb f)
+{
+    assert_true(f.r >= 0 && f.g >= 0 && f.b >= 0 && rgb_is_finite(f));
+}
+
+/* The principled material with any factors: no negative light, nothing that is no number. */
+static void test_beyond_layers_scatter(void **state)
+{
+    (void)state;
+    uint64_t random = 5;
+    for (int i = 0; i < (rows_long ? 100000 : 4000); i++) {
+        uint64_t *r = &random;
+        struct material m = {.type = SCENE_MATERIAL_PRINCIPLED,
+                             .texture = SCENE_NONE,
+                             .eta = i % 3   ? 1 + random_value(r)
+                                    : i % 2 ? 1e6
+                                            : 1e-6,
+                             .clearcoat = share(r),
+                             .clearcoat_roughness = share(r),
+                             .specular = fmin(factor(r), 1e6),
+                             .specular_color = {factor(r), factor(r), factor(r)},
+                             .sheen_alpha = fmax(share(r), 1e-2)};
+        if (i % 8 == 0) {
+            m.sheen_color = (rgb){factor(r), factor(r), factor(r)};
+            principled_prepare(&m);
+        }
+        struct bsdf b = {&m, {factor(r), factor(r), factor(r)}, share(r), share(r), share(r)};
+        for (int k = 0; k < 16; k++) {
+            vec3 wo = random_direction(r), wi = random_direction(r);
+            double pdf, u[3] = {k ? random_value(r) : 0, random_value(r), random_value(r)};
+            struct bsdf_sample s;
+            assert_light(bsdf_eval(&b, wo, wi, &pdf));
+            assert_true(pdf >= 0 && isfinite(pdf));
+            if (!bsdf_sample(&b, wo, u, &s))
+                continue;
+            assert_light(s.weight);
+            assert_true(s.pdf > 0 && isfinite(s.pdf) && fabs(v3_length(s.wi) - 1) < 1e-6);
+        }
+    }
+}
+
+enum layer { BASE, SHEEN, SPECULAR, SPECULAR_COLOR, COAT, METAL, TRANSMISSION, LAYERS };
+
+static void set_layer(struct scene_material *m, enum layer layer, double value)
+{
+    double *colors[LAYERS] = {[BASE] = m->color,
+                              [SHEEN] = m->sheen_color,
+                              [SPECULAR_COLOR] = m->specular_color,
+                              [METAL] = m->color,
+                              [TRANSMISSION] = m->color};
+    m->metallic = layer == METAL ? fmin(value, 1) : 0;
+    m->transmission = layer == TRANSMISSION ? fmin(value, 1) : 0;
+    m->clearcoat = layer == COAT ? fmin(value, 1) : 0;
+    m->clearcoat_roughness = 0.2;
+    m->roughness = 0.4;
+    m->sheen_roughness = 0.3;
+    if (layer == SPECULAR)
+        m->specular = fmin(value, 1e6);
+    for (int k = 0; k < 3 && colors[layer]; k++)
+        colors[layer][k] = k == 1 ? value : 0.5;
+}
+
+/* Samples that were beyond the film in a picture of a plate, with a ball on it or without, under a
+ * sky, a lamp and a point light. */
+static uint64_t beyond_film(enum layer layer, double value, enum job_profile profile, bool ball)
+{
+    static const double plate[12] = {-2, -1, 2, 2, -1, 2, 2, -1, -2, -2, -1, -2};
+    struct scene s;
+    struct scene_material *m;
+    scene_init(&s);
+    uint32_t material = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+    set_layer(m, layer, value);
+    kit_quad(&s, plate, material);
+    if (ball)
+        kit_sphere(&s, 0, 0, 0, 1, material);
+    kit_constant_sky(&s, 0.3);
+    kit_emit(&s, kit_sphere(&s, 1.5, 1.5, 0, 0.3, SCENE_NONE), 5, 4, 3);
+    kit_light(&s, SCENE_LIGHT_POINT)->position[1] = 3;
+    look(&s, 0, 0, 4, 45);
+    struct job_spec spec = kit_spec(24, 8);
+    spec.profile = profile;
+    struct kit_picture p = kit_render(&s, &spec, 0);
+    uint64_t beyond = p.counters.nonfinite;
+    p.counters.nonfinite = 0;
+    assert_clean(&p);
+    kit_picture_free(&p);
+    scene_release(&s);
+    return beyond;
+}
+
+/* Tints over 1 make light. All pixels are light, and where it does not come back, all samples are
+ * counted; between a ball and a plate it grows with each edge, beyond the film's floats. */
+static void test_beyond_layers_in_pictures(void **state)
+{
+    (void)state;
+    static const double ends[] = {0, 1e-30, 1, 65535, 1e30};
+    uint64_t beyond = 0;
+    for (int i = 0; i < LAYERS * 5 * JOB_PROFILE_COUNT; i++) {
+        enum layer layer = (enum layer)(i % LAYERS);
+        double value = ends[i / LAYERS % 5];
+        enum job_profile profile = (enum job_profile)(i / LAYERS / 5);
+        assert_int_equal(beyond_film(layer, value, profile, false), 0);
+        uint64_t lost = beyond_film(layer, value, profile, true);
+        assert_true(lost == 0 || value > 1);
+        beyond += lost;
+    }
+    assert_true(beyond > 0);
+    printf("  %llu of %d samples beyond the film, none below it\n", (unsigned long long)beyond,
+           LAYERS * 5 * JOB_PROFILE_COUNT * 24 * 24 * 8);
+}
+
 int main(int argc, char **argv)
 {
     const struct CMUnitTest tests[] = {
@@ -471,6 +615,8 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_beyond_conductor_indices),
         cmocka_unit_test(test_beyond_screw_on_a_planet),
         cmocka_unit_test(test_beyond_screws_of_any_size),
+        cmocka_unit_test(test_beyond_layers_scatter),
+        cmocka_unit_test(test_beyond_layers_in_pictures),
     };
     return ROWS_RUN(argc, argv, tests);
 }
