@@ -53,6 +53,32 @@ static void winding_follows_the_normals(void **state)
     }
 }
 
+/* A mesh without normals has the side that shines, or that is outside, where its faces have it; a
+ * transform that mirrors moves it along, as it does where vertices have normals. Such faces were
+ * turned inside out. */
+static void mirrored_faces_keep_their_side(void **state)
+{
+    (void)state;
+    for (int mirrored = 0; mirrored < 2; mirrored++) {
+        struct scene s;
+        scene_init(&s);
+        uint32_t o = kit_quad(&s, square, kit_diffuse(&s, 1, 1, 1));
+        kit_emit(&s, o, 1, 1, 1);
+        if (mirrored)
+            s.objects[o].transform[0] = -1;
+        struct render_scene *rs = build(&s);
+        struct ray ray = {.org = {0.1, 0.2, 3}, .dir = {0, 0, -1}, .tmax = 10};
+        struct hit hit;
+        accel_closest(rs->accel, &ray, &hit);
+        assert_int_equal(hit.object, o);
+        assert_true(hit.ng[2] > 0);
+        assert_int_equal(rs->lights.count, 1);
+        assert_true(rs->lights.lights[0].n.z > 0);
+        render_scene_free(rs);
+        scene_release(&s);
+    }
+}
+
 static void two_triangles_make_one_light(void **state)
 {
     (void)state;
@@ -525,6 +551,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(winding_follows_the_normals),
+        cmocka_unit_test(mirrored_faces_keep_their_side),
         cmocka_unit_test(two_triangles_make_one_light),
         cmocka_unit_test(instances_look_like_copies),
         cmocka_unit_test(alpha_lets_light_through),

@@ -191,24 +191,31 @@ static vec3 float_point(const float *positions, uint32_t vertex)
     return v3((double)p[0], (double)p[1], (double)p[2]);
 }
 
-/* The format's winding rule: a face that disagrees with its first vertex's normal is turned. */
+static void turn_face(uint32_t corners[3])
+{
+    uint32_t swap = corners[1];
+    corners[1] = corners[2];
+    corners[2] = swap;
+}
+
+/* Faces keep their side under a transform that mirrors. The format's winding rule: one that
+ * disagrees with its first vertex's normal is turned. */
 static const uint32_t *place_indices(struct render_scene *rs, const struct scene_mesh *m,
-                                     const float *positions, const float *normals)
+                                     bool mirrored, const float *positions, const float *normals)
 {
     uint32_t *out = arena_alloc(&rs->arena, m->triangle_count, 3 * sizeof *out);
     if (!out)
         return NULL;
     memcpy(out, m->indices, (size_t)m->triangle_count * 3 * sizeof *out);
+    for (size_t t = 0; mirrored && t < m->triangle_count; t++)
+        turn_face(out + 3 * t);
     for (size_t t = 0; normals && t < m->triangle_count; t++) {
         uint32_t *i = out + 3 * t;
         vec3 v0 = float_point(positions, i[0]);
         vec3 ng = v3_cross(v3_sub(float_point(positions, i[1]), v0),
                            v3_sub(float_point(positions, i[2]), v0));
-        if (v3_dot(ng, float_point(normals, i[0])) < 0) {
-            uint32_t swap = i[1];
-            i[1] = i[2];
-            i[2] = swap;
-        }
+        if (v3_dot(ng, float_point(normals, i[0])) < 0)
+            turn_face(i);
     }
     return out;
 }
@@ -227,7 +234,9 @@ static enum err place_mesh(struct render_scene *rs, const struct scene_mesh *m,
         out->normals = place_normals(rs, m, at);
     if (!out->positions || (m->normals && !out->normals))
         return ERR_NOMEM;
-    out->indices = place_indices(rs, m, out->positions, out->normals);
+    double c[9];
+    bool mirrored = cofactors(at->to_world, c) < 0;
+    out->indices = place_indices(rs, m, mirrored, out->positions, out->normals);
     return out->indices ? ERR_OK : ERR_NOMEM;
 }
 
