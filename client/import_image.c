@@ -140,11 +140,18 @@ enum err import_image_bytes(struct import *im, const char *key, const void *data
 
 bool import_is_normal_map(const struct scene_image *image)
 {
-    if (image->format == SCENE_IMAGE_F32 || image->channel_count < 3)
+    if (image->channel_count < 3)
         return false;
-    const unsigned char *p = image->pixels;
+    const unsigned char *bytes = image->pixels;
+    const float *floats = image->pixels;
     size_t count = (size_t)image->width * image->height, blue = 0;
-    for (size_t i = 0; i < count; i++, p += image->channel_count)
-        blue += p[2] > 128 && p[2] >= p[0] && p[2] >= p[1] && (p[2] > p[0] || p[2] > p[1]);
+    for (size_t i = 0; i < count; i++) {
+        float c[3];
+        for (size_t k = 0; k < 3; k++) {
+            size_t at = i * image->channel_count + k;
+            c[k] = image->format == SCENE_IMAGE_F32 ? floats[at] : bytes[at] / 255.0f;
+        }
+        blue += c[2] > 0.505f && c[2] >= c[0] && c[2] >= c[1] && (c[2] > c[0] || c[2] > c[1]);
+    }
     return blue > count / 2;
 }

@@ -110,6 +110,10 @@ def test_bump_maps(tmp_path):
     assert b["type"] == "principled" and "normal_texture" in b and "bump_texture" not in b
     assert c["type"] == "glass" and abs(c["bump_scale"] - 0.05) < 1e-12
     assert picture_hash(tmp_path, "scene.json") == picture_hash(tmp_path, "m.obj")
+    # So are normals of 16 bits, once taken for heights.
+    write_png(tmp_path / "normals.png", [[(32768, 30000 + x, 64000) for x in range(8)]] * 8, bits=16)
+    fine = imported(tmp_path, "m.obj")[0]["materials"]["b"]
+    assert fine["type"] == "principled" and "normal_texture" in fine and "bump_texture" not in fine
     a["bump_scale"] = 0
     (tmp_path / "flat.json").write_text(json.dumps(scene))
     assert picture_hash(tmp_path, "flat.json") != picture_hash(tmp_path, "m.obj")
