@@ -192,9 +192,8 @@ static void read_map_option(struct parser *p, const char *option, size_t bytes, 
     }
 }
 
-static void read_map(struct parser *p, enum mtl_map_id id)
+static void read_map_options(struct parser *p, struct mtl_map *map)
 {
-    struct mtl_map map = {.scale = {1, 1}, .bump = 1};
     for (;;) {
         skip_blank(p);
         const char *start = p->at, *word;
@@ -202,11 +201,66 @@ static void read_map(struct parser *p, enum mtl_map_id id)
         bool is_option = bytes > 1 && word[0] == '-' && word[1] >= 'a' && word[1] <= 'z';
         if (!is_option) {
             p->at = start;
-            break;
+            return;
         }
-        read_map_option(p, word, bytes, &map);
+        read_map_option(p, word, bytes, map);
     }
+}
+
+/* More behind the name of a file is a part of it, so that no line takes long. */
+enum { OPTIONS_BYTES_MAX = 256 };
+
+/* True if a line from `at` on is options of a map, one at least, and nothing else. */
+static bool is_options(const char *at, const char *end)
+{
+    static const struct {
+        const char *word;
+        int least, most; /* numbers; 0: a word */
+    } options[] = {{"-s", 1, 3},      {"-o", 1, 3},      {"-t", 1, 3},      {"-bm", 1, 1},
+                   {"-mm", 2, 2},     {"-boost", 1, 1},  {"-texres", 1, 1}, {"-clamp", 0, 0},
+                   {"-blendu", 0, 0}, {"-blendv", 0, 0}, {"-cc", 0, 0},     {"-imfchan", 0, 0},
+                   {"-type", 0, 0}};
+    enum { OPTIONS = sizeof options / sizeof *options };
+    struct parser p = {.at = at, .end = end};
+    const char *word;
+    double v;
+    for (size_t bytes = take_word(&p, &word); bytes > 0; bytes = take_word(&p, &word)) {
+        size_t i = 0;
+        while (i < OPTIONS && !word_is(word, bytes, options[i].word))
+            i++;
+        if (i == OPTIONS)
+            return false;
+        int count = 0;
+        while (count < options[i].most && take_number(&p, &v))
+            count++;
+        if (count < options[i].least || (options[i].most == 0 && take_word(&p, &word) == 0))
+            return false;
+    }
+    return true;
+}
+
+/* Where options follow the name of the file, though they belong before it; NULL: nowhere. */
+static const char *options_behind(const struct parser *p)
+{
+    bool is_long = p->end - p->at > OPTIONS_BYTES_MAX;
+    for (const char *c = is_long ? p->end - OPTIONS_BYTES_MAX : p->at; c < p->end; c++)
+        if (*c == '-' && c > p->at && is_blank(c[-1]) && is_options(c, p->end))
+            return c;
+    return NULL;
+}
+
+static void read_map(struct parser *p, enum mtl_map_id id)
+{
+    struct mtl_map map = {.scale = {1, 1}, .bump = 1};
+    read_map_options(p, &map);
+    const char *end = p->end, *options = options_behind(p);
+    p->end = options ? options : end;
     map.path = take_rest(p, false);
+    if (options) {
+        p->at = options;
+        p->end = end;
+        read_map_options(p, &map);
+    }
     if (!map.path || !*map.path) {
         if (map.path)
             warn(p, "bad-map", "%s names no file", "the map");

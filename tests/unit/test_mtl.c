@@ -76,6 +76,33 @@ static void reads_maps_and_their_options(void **state)
     mtl_release(&l);
 }
 
+/* Some write a map's options behind its file. They were a part of the name, and the picture gone.
+ */
+static void reads_options_behind_the_file(void **state)
+{
+    (void)state;
+    size_t warnings;
+    struct mtl_library l =
+        read_text("newmtl a\nmap_Kd my wood.png -s 2 3 1 -clamp on\nmap_Bump -o 1 b.tga -bm 0.3\n"
+                  "map_Ke a -s b.png\nmap_Pr c.png -s\nmap_Pm d.png -s 2 e\nnorm n-1.png -2.png\n"
+                  "map_d e.png -bm 2 -q 3\n",
+                  &warnings);
+    const struct mtl_map *maps = l.materials[0].maps;
+    assert_string_equal(maps[MTL_MAP_KD].path, "my wood.png");
+    assert_true(maps[MTL_MAP_KD].scale[0] == 2 && maps[MTL_MAP_KD].scale[1] == 3);
+    assert_true(maps[MTL_MAP_KD].clamp);
+    assert_string_equal(maps[MTL_MAP_BUMP].path, "b.tga");
+    assert_true(maps[MTL_MAP_BUMP].bump == 0.3 && maps[MTL_MAP_BUMP].offset[0] == 1);
+    /* What only looks like options is a part of the name. */
+    assert_string_equal(maps[MTL_MAP_KE].path, "a -s b.png");
+    assert_string_equal(maps[MTL_MAP_PR].path, "c.png -s");
+    assert_string_equal(maps[MTL_MAP_PM].path, "d.png -s 2 e");
+    assert_string_equal(maps[MTL_MAP_NORMAL].path, "n-1.png -2.png");
+    assert_string_equal(maps[MTL_MAP_D].path, "e.png -bm 2 -q 3");
+    assert_int_equal(warnings, 0);
+    mtl_release(&l);
+}
+
 static void reads_physical_words(void **state)
 {
     (void)state;
@@ -200,6 +227,7 @@ int main(void)
         cmocka_unit_test(reads_the_classic_words),
         cmocka_unit_test(believes_d_over_tr),
         cmocka_unit_test(reads_maps_and_their_options),
+        cmocka_unit_test(reads_options_behind_the_file),
         cmocka_unit_test(reads_physical_words),
         cmocka_unit_test(lines_may_end_as_on_old_machines),
         cmocka_unit_test(warns_of_nonsense_and_keeps_values),
