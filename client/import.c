@@ -202,6 +202,8 @@ static void show_vertex_colors(struct scene *s)
         m->vertex_colors |=
             m->type == SCENE_MATERIAL_DIFFUSE || m->type == SCENE_MATERIAL_PRINCIPLED;
     }
+    for (size_t i = 0; i < s->material_count; i++)
+        s->materials[i].emission_vertex_colors &= s->materials[i].vertex_colors;
 }
 
 /* The share of the model's extent that a height of 1 stands for: formats give it no unit. */

@@ -305,6 +305,7 @@ static void make_unlit(struct scene_material *m)
 {
     memcpy(m->emission, m->color, sizeof m->emission);
     m->emission_texture = m->texture;
+    m->emission_vertex_colors = true;
     m->normal_texture = m->metallic_roughness_texture = m->transmission_texture = SCENE_NONE;
     for (int i = 0; i < 3; i++)
         m->color[i] = m->sheen_color[i] = 0;

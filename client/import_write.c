@@ -157,6 +157,8 @@ static void put_principled(const struct import_writer *w, struct buf *b,
         buf_printf(b, ", \"twosided\": true");
     if (m->vertex_colors)
         buf_printf(b, ", \"vertex_colors\": true");
+    if (m->emission_vertex_colors)
+        buf_printf(b, ", \"emission_vertex_colors\": true");
 }
 
 /* The importers make these kinds only. */

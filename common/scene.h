@@ -96,6 +96,7 @@ struct scene_material {
     uint32_t metallic_roughness_texture; /* G roughness, B metallic, as in glTF */
     double emission[3];
     uint32_t emission_texture;
+    bool emission_vertex_colors; /* emission times the mesh's colours, where it has some */
     uint32_t normal_texture;
     double normal_scale;
     double transmission;

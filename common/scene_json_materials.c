@@ -361,6 +361,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
                                        "bump_scale",
                                        "twosided",
                                        "vertex_colors",
+                                       "emission_vertex_colors",
                                        "metallic_roughness_texture",
                                        "emission_texture",
                                        "normal_texture",
@@ -382,6 +383,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
     (void)scene_load_color(l, v, "emission", m->emission);
     (void)json_get_bool(&l->g, v, "twosided", &m->twosided);
     (void)json_get_bool(&l->g, v, "vertex_colors", &m->vertex_colors);
+    (void)json_get_bool(&l->g, v, "emission_vertex_colors", &m->emission_vertex_colors);
     load_principled_textures(l, v, m);
     load_opacity(l, v, m);
 }

@@ -64,6 +64,14 @@ static bool object_reads_emission(const struct scene *s, const struct scene_obje
            s->meshes[o->mesh].uvs;
 }
 
+/* So do the colours of its vertices. */
+static bool object_reads_emission_colors(const struct scene *s, const struct scene_object *o)
+{
+    const struct scene_material *m = &s->materials[o->material];
+    return !o->emits && m->emission_vertex_colors &&
+           (m->emission[0] > 0 || m->emission[1] > 0 || m->emission[2] > 0);
+}
+
 /* A texture that is the same everywhere needs no coordinates. */
 static bool varies(const struct scene *s, uint32_t texture)
 {
@@ -184,7 +192,8 @@ static void mark_meshes(struct scene_plan *p, const struct scene *s, bool uvs_sh
         struct scene_material m =
             scene_plan_material(&s->materials[o->material], p->emissions[o->material]);
         p->meshes[o->mesh].uvs |= s->meshes[o->mesh].uvs && reads_uvs(s, &m);
-        p->meshes[o->mesh].colors |= s->meshes[o->mesh].colors && m.vertex_colors;
+        p->meshes[o->mesh].colors |=
+            s->meshes[o->mesh].colors && (m.vertex_colors || object_reads_emission_colors(s, o));
         p->meshes[o->mesh].alphas |= s->meshes[o->mesh].alphas && m.vertex_colors && m.alpha_used;
     }
     for (size_t i = 0; i < s->mesh_count; i++) {

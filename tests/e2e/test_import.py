@@ -205,6 +205,32 @@ def test_unlit_has_no_other_layer(tmp_path):
     assert m.get("sheen_color", [0, 0, 0]) == [0, 0, 0]
 
 
+def test_unlit_shines_in_its_vertices_colors(tmp_path):
+    """KHR_materials_unlit shows base colour times COLOR_0; the colours were left out."""
+    model = triangle_gltf(
+        extensionsUsed=["KHR_materials_unlit"],
+        materials=[{"name": "m", "extensions": {"KHR_materials_unlit": {}}}, {"name": "lit"}])
+    data = struct.pack("<9f", 1, 0, 0, 1, 0, 0, 1, 0, 0)
+    model["buffers"].append({"byteLength": len(data), "uri": "data:application/octet-stream;base64," +
+                             base64.b64encode(data).decode()})
+    model["bufferViews"].append({"buffer": len(model["buffers"]) - 1, "byteLength": len(data)})
+    model["accessors"].append({"bufferView": len(model["bufferViews"]) - 1, "componentType": 5126,
+                               "count": 3, "type": "VEC3"})
+    primitive = model["meshes"][0]["primitives"][0]
+    primitive["attributes"]["COLOR_0"] = len(model["accessors"]) - 1
+    primitive["material"] = 0
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", model))
+    assert scene["materials"]["m"]["emission_vertex_colors"] is True
+    red = picture_hash(tmp_path, "m.gltf")
+    assert picture_hash(tmp_path, "scene.json") == red
+    # As if the base colour had been red.
+    del primitive["attributes"]["COLOR_0"]
+    model["materials"][0]["pbrMetallicRoughness"] = {"baseColorFactor": [1, 0, 0, 1]}
+    scene, _ = imported(tmp_path, write(tmp_path, "n.gltf", model))
+    assert "emission_vertex_colors" not in scene["materials"]["m"]
+    assert picture_hash(tmp_path, "n.gltf") == red
+
+
 ROUGH_OBJ = ("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\n"
              "f 1/1 2/2 3/3\n")
 

@@ -95,6 +95,7 @@ static void make_material(const struct scene *s, struct scene_material *m, size_
     m->emission_texture = draw_index(s->texture_count);
     m->twosided = draw(2);
     m->vertex_colors = draw(2);
+    m->emission_vertex_colors = draw(2);
     m->k[1] = draw_number();
 }
 

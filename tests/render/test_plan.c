@@ -309,11 +309,15 @@ static void check_colors(void)
     uint32_t lamp = add_quad(&s, 0.5, veil);
     add_colors(&s, lamp);
     kit_emit(&s, lamp, 1, 1, 1);
+    uint32_t unlit = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->emission[0] = m->emission[2] = 1;
+    m->emission_vertex_colors = true;
+    add_colors(&s, add_quad(&s, 0.7, unlit));
     scene_check(&s);
     struct package p = check_scene("colours", &s);
     expect(&p, PACKAGE_LEFT_COLORS, 6);
-    expect(&p, PACKAGE_LEFT_ALPHAS, 6 + 6);
-    if (p.left[PACKAGE_LEFT_ALPHAS].bytes != 12 * 4)
+    expect(&p, PACKAGE_LEFT_ALPHAS, 6 + 6 + 6);
+    if (p.left[PACKAGE_LEFT_ALPHAS].bytes != 18 * 4)
         fail("colours", "bytes left out are not those of the opacities");
     if (p.left[PACKAGE_LEFT_COLORS].bytes != 6 * 12)
         fail("colours", "bytes left out are not those of the colours");

@@ -259,6 +259,58 @@ static void opacity_draws_no_direction(void **state)
     scene_release(&s);
 }
 
+/* A panel whose vertices are red at its bottom and blue at its top shines in what lies between, at
+ * the camera and onto a wall behind that; with a radiance of its own it shines in that alone. */
+static void emission_takes_the_colors_of_vertices(void **state)
+{
+    (void)state;
+    static const double wall[12] = {-3, -3, 4, -3, 3, 4, 3, 3, 4, 3, -3, 4};
+    static const float colors[12] = {1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 1};
+    double seen[3] = {0}, means[JOB_PROFILE_COUNT][3] = {{0}};
+    for (int i = 0; i < 2 + JOB_PROFILE_COUNT; i++) {
+        struct scene s;
+        struct scene_material *m;
+        scene_init(&s);
+        uint32_t glow = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+        m->emission_vertex_colors = true;
+        m->metallic = m->specular = 0;
+        for (int k = 0; k < 3; k++) {
+            m->color[k] = 0;
+            m->emission[k] = i == 1 ? 0 : 2;
+        }
+        uint32_t panel = kit_quad(&s, square, glow);
+        s.meshes[0].colors = mem_alloc_array(4, 3 * sizeof(float));
+        assert_non_null(s.meshes[0].colors);
+        memcpy(s.meshes[0].colors, colors, sizeof colors);
+        if (i == 1)
+            kit_emit(&s, panel, 2, 2, 2);
+        kit_quad(&s, wall, kit_diffuse(&s, 0.5, 0.5, 0.5));
+        s.camera.type = SCENE_CAMERA_ORTHOGRAPHIC;
+        s.camera.ortho_height = 2;
+        s.camera.position[2] = 2;
+        s.camera.look_at[2] = i < 2 ? 0 : 4;
+        struct job_spec spec = kit_spec(16, i < 4 ? 64 : 1024);
+        spec.max_depth = 2;
+        spec.profile = i < 2 ? JOB_PROFILE_MIS : (enum job_profile)(i - 2);
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        double *mean = i < 2 ? seen : means[i - 2];
+        for (size_t k = 0; k < 3 * 16 * 16; k++)
+            mean[k / 256] += p.mean[k] / 256;
+        for (int k = 0; k < 3 && i < 2; k++)
+            assert_true(fabs(seen[k] - (i == 1 ? 2 : k == 1 ? 0 : 1)) < 1e-3);
+        memset(seen, 0, sizeof seen);
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
+    for (int i = 0; i < JOB_PROFILE_COUNT; i++) {
+        print_message("  %s: %g %g %g\n", job_profile_names[i], means[i][0], means[i][1],
+                      means[i][2]);
+        for (int k = 0; k < 3; k++)
+            assert_true(k == 1 ? means[i][k] == 0
+                               : means[i][k] > 0.01 && fabs(means[i][k] / means[0][0] - 1) < 0.02);
+    }
+}
+
 /* A rough dielectric whose index is that of its surroundings becomes smooth glass, whose only lobe
  * is a direction. It was still taken for rough: NEE sampled lights there in vain and gave up the
  * last edge, on which only light that is hit counts. A lamp behind it was dark. */
@@ -552,6 +604,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(winding_follows_the_normals),
         cmocka_unit_test(mirrored_faces_keep_their_side),
+        cmocka_unit_test(emission_takes_the_colors_of_vertices),
         cmocka_unit_test(two_triangles_make_one_light),
         cmocka_unit_test(instances_look_like_copies),
         cmocka_unit_test(alpha_lets_light_through),

@@ -115,7 +115,7 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
     }
     rgb light_in = rgb_mul(path->beta, object->radiance);
     /* What light sampling finds too must be the same there: at points. */
-    if (object->emission_texture != SCENE_NONE)
+    if (object->emission_texture != SCENE_NONE || object->emission_colors)
         light_in =
             rgb_mul(light_in, shade_emission(scene, hit, s, path->pdf == 0 ? footprint : NULL));
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));

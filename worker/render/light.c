@@ -25,17 +25,25 @@ static rgb emission_at(const struct light *l, double u, double v, double alpha)
     return rgb_scale(radiance, material_opacity(s->material, alpha));
 }
 
+/* Of what the corners of a triangle have, each `stride` after the other, at weights b. */
+static double corner_mean(const float *corners, int stride, const double b[3])
+{
+    return b[0] * (double)corners[0] + b[1] * (double)corners[stride] +
+           b[2] * (double)corners[2 * stride];
+}
+
 rgb light_emission(const struct light *l, double b1, double b2)
 {
     const struct light_surface *s = l->surface;
     if (!s)
         return l->radiance;
-    double b0 = 1 - b1 - b2;
-    double u = b0 * (double)s->uv[0] + b1 * (double)s->uv[2] + b2 * (double)s->uv[4];
-    double v = b0 * (double)s->uv[1] + b1 * (double)s->uv[3] + b2 * (double)s->uv[5];
-    double alpha =
-        b0 * (double)s->alphas[0] + b1 * (double)s->alphas[1] + b2 * (double)s->alphas[2];
-    return emission_at(l, u, v, alpha);
+    const double b[3] = {1 - b1 - b2, b1, b2};
+    double alpha = s->has_alphas ? corner_mean(s->alphas, 1, b) : 1;
+    rgb sent = emission_at(l, corner_mean(s->uv, 2, b), corner_mean(s->uv + 1, 2, b), alpha);
+    if (s->has_colors)
+        sent = rgb_mul(sent, (rgb){corner_mean(s->colors, 3, b), corner_mean(s->colors + 1, 3, b),
+                                   corner_mean(s->colors + 2, 3, b)});
+    return sent;
 }
 
 rgb light_sphere_emission(const struct light *l, vec3 n)

@@ -36,8 +36,9 @@ struct light_surface {
     const struct texture *emission;  /* times radiance; NULL: none */
     const struct material *material; /* whose opacity differs; NULL: it is in the radiance */
     const struct texture *color;     /* of the material, with its opacity; NULL: none */
-    float uv[6];                     /* of a triangle's corners */
-    float alphas[3];                 /* and their opacity */
+    bool has_alphas, has_colors;     /* of a triangle's corners */
+    float uv[6], alphas[3];
+    float colors[9]; /* times radiance */
 };
 
 struct light {

@@ -39,6 +39,7 @@ struct render_object {
     uint32_t light_begin; /* triangles: object_lights[light_begin + primitive] is its light; sphere:
                              [light_begin]; SCENE_NONE: does not emit */
     uint32_t emission_texture; /* times radiance; SCENE_NONE: none */
+    bool emission_colors;      /* the colours of the mesh's vertices are, too */
     rgb radiance;              /* on the side of the geometric normal */
     vec3 center;
     double radius;

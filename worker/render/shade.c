@@ -107,11 +107,15 @@ double shade_tilt_shadowing(const struct shade *s, vec3 wi, double wi_local_z)
 rgb shade_emission(const struct render_scene *scene, const struct hit *hit, const struct surface *s,
                    const struct footprint *footprint)
 {
-    const struct texture *t = &scene->textures[scene->objects[hit->object].emission_texture];
+    const struct render_object *object = &scene->objects[hit->object];
+    rgb color = object->emission_colors ? surface_vertex_color(scene, hit) : rgb_grey(1);
+    if (object->emission_texture == SCENE_NONE)
+        return color;
     struct texture_footprint uv;
     if (footprint)
         footprint_uv(scene, hit, footprint, &uv);
-    return texture_filtered(t, s->u, s->v, footprint ? &uv : NULL);
+    const struct texture *t = &scene->textures[object->emission_texture];
+    return rgb_mul(texture_filtered(t, s->u, s->v, footprint ? &uv : NULL), color);
 }
 
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,

@@ -25,7 +25,8 @@ double shade_opacity(const struct render_scene *scene, const struct hit *hit);
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
                   const struct footprint *footprint, struct shade *out);
 
-/* Emitted radiance's texture at the hit, over the footprint if it is not NULL. */
+/* What emitted radiance is multiplied by at the hit: its texture, over the footprint if that is not
+ * NULL, and the colours of vertices. Only of objects whose emission differs. */
 rgb shade_emission(const struct render_scene *scene, const struct hit *hit, const struct surface *s,
                    const struct footprint *footprint);
 

@@ -185,6 +185,17 @@ void surface_of_hit(const struct render_scene *scene, const struct hit *hit, str
         surface_of_triangle(scene, object, hit, out);
 }
 
+rgb surface_vertex_color(const struct render_scene *scene, const struct hit *hit)
+{
+    const struct render_object *object = &scene->objects[hit->object];
+    const struct render_mesh *mesh =
+        object->type == ACCEL_SPHERE ? NULL : &scene->meshes[object->mesh];
+    if (!mesh || !mesh->colors)
+        return rgb_grey(1);
+    struct triangle t = triangle_of(mesh, hit);
+    return vertex_color(mesh->colors, &t);
+}
+
 double surface_vertex_alpha(const struct render_scene *scene, const struct hit *hit)
 {
     const struct render_object *object = &scene->objects[hit->object];

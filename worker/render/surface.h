@@ -28,6 +28,9 @@ void surface_of_hit(const struct render_scene *scene, const struct hit *hit, str
 /* The coordinates of a picture on a sphere where its unit normal is n. */
 void surface_sphere_uv(vec3 n, double *u, double *v);
 
+/* The colour of a mesh's vertices at a hit; white where they have none. */
+rgb surface_vertex_color(const struct render_scene *scene, const struct hit *hit);
+
 /* How opaque the vertices of the mesh make a hit; 1 where they say nothing. */
 double surface_vertex_alpha(const struct render_scene *scene, const struct hit *hit);
 

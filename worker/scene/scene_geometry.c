@@ -354,8 +354,15 @@ static void compose_own_space(struct render_object *out, const struct render_sce
     }
 }
 
-/* A material's own emission comes on top of the object's; its texture counts on meshes that emit
- * by the material alone. */
+/* True if the colours of a mesh's vertices make its emission differ. */
+static bool reads_emission_colors(const struct scene *scene, const struct scene_object *o)
+{
+    return o->type == SCENE_OBJECT_MESH && !o->emits && o->material != SCENE_NONE &&
+           scene->materials[o->material].emission_vertex_colors && scene->meshes[o->mesh].colors;
+}
+
+/* A material's own emission comes on top of the object's; its texture and the colours of vertices
+ * count on meshes that emit by the material alone. */
 static void add_material_emission(const struct scene *scene, const struct scene_object *o,
                                   struct render_object *out)
 {
@@ -365,6 +372,7 @@ static void add_material_emission(const struct scene *scene, const struct scene_
     out->radiance = rgb_add(out->radiance, rgb_of(m->emission));
     if (o->type == SCENE_OBJECT_MESH && !o->emits && scene->meshes[o->mesh].uvs)
         out->emission_texture = m->emission_texture;
+    out->emission_colors = reads_emission_colors(scene, o);
 }
 
 static enum err build_object(struct render_scene *rs, const struct scene *scene,
@@ -433,7 +441,7 @@ static enum err find_uses(const struct scene *scene, struct mesh_use *uses)
         if (o->material == SCENE_NONE)
             continue;
         const struct scene_material *m = &scene->materials[o->material];
-        uses[o->mesh].reads_colors |= m->vertex_colors;
+        uses[o->mesh].reads_colors |= m->vertex_colors || reads_emission_colors(scene, o);
         uses[o->mesh].reads_alphas |= m->vertex_colors && m->alpha_used;
     }
     return ERR_OK;

@@ -129,17 +129,18 @@ static rgb radiance_of(const struct render_scene *rs, const struct render_object
 static bool surface_of(const struct render_scene *rs, const struct render_object *o,
                        struct light_surface *out)
 {
-    *out = (struct light_surface){.color = opacity_picture(rs, o), .alphas = {1, 1, 1}};
+    *out = (struct light_surface){.color = opacity_picture(rs, o),
+                                  .has_alphas = opacity_vertices(rs, o),
+                                  .has_colors = o->emission_colors};
     if (o->emission_texture != SCENE_NONE)
         out->emission = &rs->textures[o->emission_texture];
-    if (out->color || opacity_vertices(rs, o))
+    if (out->color || out->has_alphas)
         out->material = &rs->materials[o->material];
-    return out->emission || out->material;
+    return out->emission || out->material || out->has_colors;
 }
 
 /* Sets what is a triangle's own. */
-static void set_corners(const struct render_mesh *m, size_t triangle, const float *alphas,
-                        struct light_surface *s)
+static void set_corners(const struct render_mesh *m, size_t triangle, struct light_surface *s)
 {
     for (size_t k = 0; k < 3; k++) {
         size_t vertex = m->indices[3 * triangle + k];
@@ -147,8 +148,10 @@ static void set_corners(const struct render_mesh *m, size_t triangle, const floa
             s->uv[2 * k] = m->uvs[2 * vertex];
             s->uv[2 * k + 1] = m->uvs[2 * vertex + 1];
         }
-        if (alphas)
-            s->alphas[k] = alphas[vertex];
+        if (s->has_alphas)
+            s->alphas[k] = m->alphas[vertex];
+        if (s->has_colors)
+            memcpy(s->colors + 3 * k, m->colors + 3 * vertex, 3 * sizeof *s->colors);
     }
 }
 
@@ -173,7 +176,7 @@ static enum err add_mesh_lights(struct render_scene *rs, const struct render_obj
         light_of[t] = (uint32_t)table->count;
         if (surfaces) {
             surfaces[t] = all;
-            set_corners(m, t, opacity_vertices(rs, o), &surfaces[t]);
+            set_corners(m, t, &surfaces[t]);
             l->surface = &surfaces[t];
         } else if (t + 1 < m->triangle_count && quad_light(m, t, l)) {
             light_of[++t] = (uint32_t)table->count;
