@@ -322,6 +322,10 @@ static void join_materials(struct gltf *t, const struct import *geometry)
         o->emits = o->radiance[0] > 0 || o->radiance[1] > 0 || o->radiance[2] > 0;
         for (int c = 0; c < 3; c++)
             t->im->has_lamp |= o->emits && o->radiance[c] > 1;
+        if (s->materials[o->material].emission_twosided) { /* then it is the material's */
+            memset(o->radiance, 0, sizeof o->radiance);
+            o->emits = false;
+        }
     }
     if (!default_used) /* it was added last */
         mem_free(s->materials[--s->material_count].name);

@@ -270,7 +270,15 @@ static enum err read_normal(struct material_reader *r)
     return read_texture(r, v, IMAGE_DATA, &r->out->normal_texture);
 }
 
-/* Emission that a texture varies belongs to the material, plain emission to area lights. */
+static bool is_doublesided(const struct material_reader *r)
+{
+    bool both = false;
+    (void)json_get_bool(&r->t->g, r->v, "doubleSided", &both);
+    return both;
+}
+
+/* Emission that a texture varies, or that both sides have, belongs to the material, other emission
+ * to area lights. */
 static enum err read_emission(struct material_reader *r, double emission[3])
 {
     const struct json *x = gltf_extension(r->v, "KHR_materials_emissive_strength");
@@ -281,8 +289,12 @@ static enum err read_emission(struct material_reader *r, double emission[3])
         factor[i] *= strength;
     TL_TRY(read_texture(r, json_get_member(r->v, "emissiveTexture"), IMAGE_COLOR,
                         &r->out->emission_texture));
+    r->out->emission_twosided = is_doublesided(r);
     bool textured = r->out->emission_texture != SCENE_NONE;
-    memcpy(textured ? r->out->emission : emission, factor, sizeof factor);
+    if (textured || r->out->emission_twosided)
+        memcpy(r->out->emission, factor, sizeof factor);
+    if (!textured)
+        memcpy(emission, factor, sizeof factor);
     return ERR_OK;
 }
 

@@ -159,6 +159,8 @@ static void put_principled(const struct import_writer *w, struct buf *b,
         buf_printf(b, ", \"vertex_colors\": true");
     if (m->emission_vertex_colors)
         buf_printf(b, ", \"emission_vertex_colors\": true");
+    if (m->emission_twosided && (m->emission[0] > 0 || m->emission[1] > 0 || m->emission[2] > 0))
+        buf_printf(b, ", \"emission_twosided\": true");
 }
 
 /* The importers make these kinds only. */

@@ -97,6 +97,7 @@ struct scene_material {
     double emission[3];
     uint32_t emission_texture;
     bool emission_vertex_colors; /* emission times the mesh's colours, where it has some */
+    bool emission_twosided;      /* meshes emit it on both sides */
     uint32_t normal_texture;
     double normal_scale;
     double transmission;

@@ -362,6 +362,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
                                        "twosided",
                                        "vertex_colors",
                                        "emission_vertex_colors",
+                                       "emission_twosided",
                                        "metallic_roughness_texture",
                                        "emission_texture",
                                        "normal_texture",
@@ -384,6 +385,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
     (void)json_get_bool(&l->g, v, "twosided", &m->twosided);
     (void)json_get_bool(&l->g, v, "vertex_colors", &m->vertex_colors);
     (void)json_get_bool(&l->g, v, "emission_vertex_colors", &m->emission_vertex_colors);
+    (void)json_get_bool(&l->g, v, "emission_twosided", &m->emission_twosided);
     load_principled_textures(l, v, m);
     load_opacity(l, v, m);
 }

@@ -9,6 +9,7 @@ import time
 import urllib.parse
 import zlib
 
+import exr_pixels
 import pytest
 
 TILERY = pathlib.Path(os.environ["TILERY_BIN"]) / "tilery"
@@ -203,6 +204,32 @@ def test_unlit_has_no_other_layer(tmp_path):
     assert m["emission"] == [0.5, 0.25, 1] and m["color"] == [0, 0, 0]
     assert not any(m.get(k) for k in ("clearcoat", "transmission"))
     assert m.get("sheen_color", [0, 0, 0]) == [0, 0, 0]
+
+
+@pytest.mark.parametrize("kind", ["plain", "unlit", "lamp"])
+def test_what_has_two_sides_shines_on_both(tmp_path, kind):
+    """doubleSided was not looked at: from behind, emission and unlit surfaces were black."""
+    material = {"name": "m", "emissiveFactor": [0.5, 0.25, 1]}
+    if kind == "unlit":
+        material["extensions"] = {"KHR_materials_unlit": {}}
+    if kind == "lamp":
+        material["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 9}}
+    model = triangle_gltf(
+        extensionsUsed=["KHR_materials_unlit", "KHR_materials_emissive_strength"],
+        materials=[material], cameras=[{"type": "perspective",
+                                        "perspective": {"yfov": 0.1, "znear": 1}}],
+        nodes=[{"mesh": 0}, {"camera": 0, "translation": [0.2, 0.2, -5], "rotation": [0, 1, 0, 0]}],
+        scenes=[{"nodes": [0, 1]}])
+    model["meshes"][0]["primitives"][0]["material"] = 0
+    means = []
+    for both in (False, True):
+        material["doubleSided"] = both
+        scene, said = imported(tmp_path, write(tmp_path, "m.gltf", model))
+        assert ("light" in scene["objects"][0]) == (kind != "unlit" and not both)
+        assert ("sky-added" in said) == (kind != "lamp")
+        picture_hash(tmp_path, "scene.json")
+        means.append(exr_pixels.rgb(tmp_path / "out.exr").mean())
+    assert means[1] > means[0] + 0.2, means
 
 
 def test_unlit_shines_in_its_vertices_colors(tmp_path):

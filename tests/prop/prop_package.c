@@ -96,6 +96,7 @@ static void make_material(const struct scene *s, struct scene_material *m, size_
     m->twosided = draw(2);
     m->vertex_colors = draw(2);
     m->emission_vertex_colors = draw(2);
+    m->emission_twosided = draw(2);
     m->k[1] = draw_number();
 }
 

@@ -311,6 +311,51 @@ static void emission_takes_the_colors_of_vertices(void **state)
     }
 }
 
+/* A leaning panel that shines on both sides lights the walls before and behind it, alone and beside
+ * a lamp on one side. What the three techniques find is the same. */
+static void both_sides_shine(void **state)
+{
+    (void)state;
+    static const double front[12] = {-3, -3, -2, 3, -3, -2, 3, 3, -2, -3, 3, -2};
+    static const double back[12] = {-3, -3, 2, -3, 3, 2, 3, 3, 2, 3, -3, 2};
+    for (int i = 0; i < 8; i++) {
+        double means[JOB_PROFILE_COUNT];
+        for (int p = 0; p < JOB_PROFILE_COUNT; p++) {
+            struct scene s;
+            struct scene_material *m;
+            scene_init(&s);
+            uint32_t glow = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+            m->emission_twosided = true;
+            m->metallic = m->specular = 0;
+            for (int k = 0; k < 3; k++) {
+                m->color[k] = 0.3;
+                m->emission[k] = 2;
+            }
+            uint32_t panel = kit_quad(&s, square, glow);
+            s.objects[panel].transform[6] = 0.3;
+            kit_quad(&s, i & 1 ? front : back, kit_diffuse(&s, 0.5, 0.5, 0.5));
+            if (i & 2)
+                kit_emit(&s, kit_sphere(&s, 2, 0, i & 1 ? -1 : 1, 0.3, SCENE_NONE), 3, 3, 3);
+            s.camera.type = SCENE_CAMERA_ORTHOGRAPHIC;
+            s.camera.ortho_height = i & 4 ? 4 : 2;
+            s.camera.position[2] = i & 4 ? (i & 1 ? -1.9 : 1.9) : 0;
+            s.camera.look_at[2] = i & 4 ? 0 : i & 1 ? -2 : 2;
+            struct job_spec spec = kit_spec(16, p == JOB_PROFILE_RW ? 1024 : 128);
+            spec.max_depth = 3;
+            spec.profile = (enum job_profile)p;
+            struct kit_picture picture = kit_render(&s, &spec, 0);
+            means[p] = kit_picture_mean(&picture);
+            if (i & 4) /* the panel itself */
+                assert_true(picture.mean[8 * 16 + 8] > 1.99);
+            kit_picture_free(&picture);
+            scene_release(&s);
+        }
+        print_message("  MIS %g, NEE %g, RW %g\n", means[0], means[1], means[2]);
+        assert_true(means[0] > 0.05);
+        assert_true(fabs(means[1] / means[0] - 1) < 0.01 && fabs(means[2] / means[0] - 1) < 0.02);
+    }
+}
+
 /* A rough dielectric whose index is that of its surroundings becomes smooth glass, whose only lobe
  * is a direction. It was still taken for rough: NEE sampled lights there in vain and gave up the
  * last edge, on which only light that is hit counts. A lamp behind it was dark. */
@@ -605,6 +650,7 @@ int main(void)
         cmocka_unit_test(winding_follows_the_normals),
         cmocka_unit_test(mirrored_faces_keep_their_side),
         cmocka_unit_test(emission_takes_the_colors_of_vertices),
+        cmocka_unit_test(both_sides_shine),
         cmocka_unit_test(two_triangles_make_one_light),
         cmocka_unit_test(instances_look_like_copies),
         cmocka_unit_test(alpha_lets_light_through),

@@ -103,6 +103,7 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
 {
     const struct render_object *object = &scene->objects[s->object];
     double cosine = -v3_dot(s->ng, dir);
+    cosine = object->emission_twosided ? fabs(cosine) : cosine;
     if (!(cosine > 0))
         return;
     uint32_t light = scene->object_lights[object->light_begin + s->primitive];

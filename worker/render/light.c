@@ -72,10 +72,12 @@ static bool sample_area(const struct light *l, vec3 p, double u, double v, struc
     double distance2 = v3_dot(d, d);
     double distance = sqrt(distance2);
     double cosine = -v3_dot(l->n, d); /* times the distance */
+    double side = l->twosided && cosine < 0 ? -1 : 1;
+    cosine *= side;
     if (!(cosine > 0))
         return false;
     s->wi = v3_scale(d, 1 / distance);
-    s->target = v3_mad(q, l->n, l->error);
+    s->target = v3_mad(q, l->n, l->error * side);
     s->pdf = distance2 * distance / (cosine * l->area);
     s->radiance = light_emission(l, a, b);
     return true;

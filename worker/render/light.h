@@ -3,9 +3,10 @@
  * A table of lights in scene space: triangles and parallelograms (two triangles of a
  * mesh that make one), spheres (sampled by the solid angle they fill), points, spots,
  * distant lights, and the environment. Area lights emit on the side of their normal
- * only, and as much as they are opaque: a ray that finds one by chance goes through for
- * the rest. What is clear all over is none. light_pdf gives the density with which light_sample
- * draws a direction, the choice of the light included, for multiple importance sampling.
+ * only, unless they are two-sided, and as much as they are opaque: a ray that finds one by chance
+ * goes through for the rest. What is clear all over is none. light_pdf gives the density with which
+ * light_sample draws a direction, the choice of the light included, for multiple importance
+ * sampling.
  *
  * Two or more lights with a place are chosen by a tree (light_tree.h).
  *
@@ -43,6 +44,7 @@ struct light_surface {
 
 struct light {
     enum light_type type;
+    bool twosided;   /* area: shines behind n, too */
     rgb radiance;    /* area: radiance, times an opacity that is the same all over; point, spot:
                         intensity; distant: irradiance */
     vec3 v0, e1, e2; /* triangle, quad; v0: centre of a sphere, place of a point */

@@ -40,7 +40,8 @@ struct render_object {
                              [light_begin]; SCENE_NONE: does not emit */
     uint32_t emission_texture; /* times radiance; SCENE_NONE: none */
     bool emission_colors;      /* the colours of the mesh's vertices are, too */
-    rgb radiance;              /* on the side of the geometric normal */
+    bool emission_twosided;
+    rgb radiance; /* on the side of the geometric normal, or on both */
     vec3 center;
     double radius;
     double to_scene[12], from_scene[12]; /* instances */

@@ -94,7 +94,8 @@ static struct bounds bounds_of(const struct light *l, double intensity)
     struct bounds b = nothing;
     b.axis = l->n;
     b.intensity = intensity;
-    b.cos_o = l->type == LIGHT_TRIANGLE || l->type == LIGHT_QUAD ? 1 - COSINE_SLACK : -1;
+    bool flat = l->type == LIGHT_TRIANGLE || l->type == LIGHT_QUAD;
+    b.cos_o = flat && !l->twosided ? 1 - COSINE_SLACK : -1;
     include(&b, l->v0);
     switch (l->type) {
     case LIGHT_QUAD:

@@ -162,6 +162,7 @@ static enum err add_mesh_lights(struct render_scene *rs, const struct render_obj
     struct light_table *table = &rs->lights;
     const struct render_mesh *m = &rs->meshes[o->mesh];
     rgb radiance = radiance_of(rs, o);
+    bool twosided = o->emission_twosided;
     struct light_surface all, *surfaces = NULL;
     if (surface_of(rs, o, &all)) {
         surfaces = arena_alloc(&rs->arena, m->triangle_count, sizeof *surfaces);
@@ -173,6 +174,7 @@ static enum err add_mesh_lights(struct render_scene *rs, const struct render_obj
         light_of[t] = SCENE_NONE;
         if (!triangle_light(m, t, radiance, l))
             continue;
+        l->twosided = twosided;
         light_of[t] = (uint32_t)table->count;
         if (surfaces) {
             surfaces[t] = all;
@@ -239,7 +241,8 @@ static double light_power(const struct light *l, const struct environment *sky)
         return 4 * VEC_PI * VEC_PI * value * mean;
     }
     default:
-        return VEC_PI * l->area * (l->surface ? surface_luminance(l) : value);
+        return VEC_PI * l->area * (l->surface ? surface_luminance(l) : value) *
+               (l->twosided ? 2 : 1);
     }
 }
 
@@ -274,7 +277,7 @@ static double light_intensity(const struct light *l, double power)
     case LIGHT_SPHERE:
         return power / (4 * VEC_PI);
     default:
-        return power / VEC_PI;
+        return power / (l->twosided ? 2 * VEC_PI : VEC_PI);
     }
 }
 
