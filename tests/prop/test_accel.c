@@ -34,12 +34,13 @@ static void check_rays_agree(const char *name, const struct trace_scene *s, cons
                              size_t count)
 {
     struct accel *brute = kit_build(&s->input, JOB_BUILDER_NONE, ACCEL_ISA_AUTO, NULL);
-    struct hit *want =
-        kit_hits(brute, rays, count); /* once: brute force takes nearly all the time */
+    /* Once: brute force takes nearly all the time. */
+    struct hit *want = kit_hits(brute, rays, count);
     size_t hits = 0;
     for (size_t i = 0; i < count; i++) {
         hits += want[i].object != SCENE_NONE;
-        assert_int_equal(accel_occluded(brute, &rays[i]), want[i].object != SCENE_NONE);
+        if (!is_long || i % 10 == 0)
+            assert_int_equal(accel_occluded(brute, &rays[i]), want[i].object != SCENE_NONE);
     }
     printf("  %s: %zu rays, %zu hits;", name, count, hits);
     fflush(stdout);

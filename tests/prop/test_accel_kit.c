@@ -1,6 +1,7 @@
 #include "tests/prop/test_accel_kit.h"
 
 #include <pthread.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,6 +10,7 @@
 
 bool kit_long(int argc, char **argv)
 {
+    setvbuf(stdout, NULL, _IOLBF, 0);
     return argc > 1 && strcmp(argv[1], "--long") == 0;
 }
 
@@ -93,14 +95,32 @@ static size_t masked_differences(const struct accel *b, const struct ray *rays, 
     return bad;
 }
 
+/* A part of the rays, for one thread. */
+struct part {
+    const struct accel *accel;
+    const struct ray *rays;
+    struct hit *hits;
+    size_t count;
+};
+
+enum { PART_RAYS = 64 };
+
+static void part_trace(void *arg, size_t index)
+{
+    const struct part *p = arg;
+    size_t end = (index + 1) * PART_RAYS < p->count ? (index + 1) * PART_RAYS : p->count;
+    for (size_t i = index * PART_RAYS; i < end; i++)
+        accel_closest(p->accel, &p->rays[i], &p->hits[i]);
+}
+
 struct hit *kit_hits(const struct accel *a, const struct ray *rays, size_t count)
 {
-    struct hit *hits = mem_alloc_array(count, sizeof *hits);
-    if (!hits)
+    struct part p = {a, rays, mem_alloc_array(count, sizeof *p.hits), count};
+    struct accel_runner runner = kit_runner(4);
+    if (!p.hits)
         abort();
-    for (size_t i = 0; i < count; i++)
-        accel_closest(a, &rays[i], &hits[i]);
-    return hits;
+    runner.run(runner.ctx, (count + PART_RAYS - 1) / PART_RAYS, part_trace, &p);
+    return p.hits;
 }
 
 size_t kit_disagreements(const struct hit *want, const struct accel *b, const struct ray *rays,

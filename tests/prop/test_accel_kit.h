@@ -9,7 +9,7 @@
  * origins, short intervals and directions of very different lengths. */
 void kit_ray(const struct trace_scene *s, uint64_t *state, size_t i, struct ray *out);
 
-/* The closest hits by single calls; the caller frees them with mem_free. */
+/* The closest hits by single calls, on four threads; the caller frees them with mem_free. */
 struct hit *kit_hits(const struct accel *a, const struct ray *rays, size_t count);
 
 /* How many of the rays b does not answer with these hits, bit for bit, single, batch and any hit.
@@ -27,7 +27,7 @@ struct accel *kit_build(const struct accel_input *input, enum job_builder builde
 /* A runner of `threads` threads that takes its work in a scrambled order. */
 struct accel_runner kit_runner(uint32_t threads);
 
-/* argv: "--long" makes tests take minutes. */
+/* argv: "--long" makes tests take minutes. Output then comes line by line, for who waits. */
 bool kit_long(int argc, char **argv);
 
 #endif
