@@ -30,12 +30,12 @@ static const double STATED_SPREAD = 0.12;
  * (job_plan.c), and the rest takes most of that; deviation in seconds and of the logarithm (limits
  * of 2 s took 1.56 to 1.76 s, of 10 s 9.6 to 10.9 s). */
 static const double SPP_LEAST = 4, LIMIT_EARLY_S = 0.3, LIMIT_SPREAD_S = 0.1, LIMIT_SPREAD = 0.03;
-static const double PIVOT_SPP = 16;
-/* A claim, as job_plan.c makes it: its upper bound, of so many deviations, must be under the
+static const double PIVOT_SPP = 16, TARGET_PILOT_SPP = 4;
+/* A claim, as claim.c makes it: its upper bound, of so many deviations, must be under the
  * target; none is made while the deviation is more than the root of 1 / 8. Looks come in steps, so
  * that the error is a little less than that asks for, and where it falls steeply more so.
  * Measured. */
-static const double CLAIM_QUANTILE = 2.1 * 1.4142135623730951, CLAIM_EFFECTIVE_MIN = 8;
+static const double CLAIM_QUANTILE = 2.3, CLAIM_EFFECTIVE_MIN = 8;
 static const double CLAIM_STEP = 1.05, CLAIM_SPREAD = 0.2;
 static const double STEEP_POWER = 1.2, STEEP_STEP = 0.3;
 /* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
@@ -227,8 +227,8 @@ static struct course course_of(const struct pilots *p, const struct job_spec *sp
     if (spec->stop == JOB_STOP_ERROR) {
         gain *= between_powers(error->power);
         c.spp = spp_for(error, spec->target_error / (claim_of(p, error) * gain));
-        c.rendered = c.spp > PIVOT_SPP ? PIVOT_SPP : 0;
-        c.spp = c.spp > PIVOT_SPP ? c.spp : PIVOT_SPP;
+        c.rendered = c.spp > TARGET_PILOT_SPP ? TARGET_PILOT_SPP : 0;
+        c.spp = c.spp > TARGET_PILOT_SPP ? c.spp : TARGET_PILOT_SPP;
         c.gain = gain;
         /* It makes no claim until more pixels carry the error: anywhere from here to the bound. */
         if (claims_nothing(p, error) && c.spp < max) {

@@ -342,7 +342,9 @@ struct job_blocks job_blocks_of(uint64_t spp)
     return (struct job_blocks){.count = spp == 1 ? 1 : 2 * (uint32_t)per_half, .spp = spp};
 }
 
-/* The pilot: two pairs of blocks, so that its first says soon how fast it goes. */
+/* The pilot: two pairs of blocks, so that its first says soon how fast it goes. To an error the
+ * first pair is enough: 4 samples allocate nearly as well as 16, and are dropped all the same. A
+ * plan has room for both. */
 enum { PILOT_BLOCKS = 4, PILOT_FIRST = 2, PILOT_HALF = 8 };
 
 uint64_t job_ladder(uint32_t blocks)
@@ -360,7 +362,8 @@ struct job_blocks job_spec_blocks(const struct job_spec *s)
     if (s->stop == JOB_STOP_SPP)
         return job_blocks_of(s->spp);
     TL_ASSERT(s->spp >= JOB_ADAPTIVE_SPP_MIN && s->spp <= JOB_ADAPTIVE_SPP_MAX);
-    struct job_blocks b = {.spp = s->spp, .pilot = s->spp < 2 * PILOT_HALF ? 2 : PILOT_BLOCKS};
+    bool short_pilot = s->stop == JOB_STOP_ERROR || s->spp < 2 * PILOT_HALF;
+    struct job_blocks b = {.spp = s->spp, .pilot = short_pilot ? 2 : PILOT_BLOCKS};
     uint32_t per_half = 1;
     while (2 * job_ladder(per_half + 1) <= s->spp)
         per_half++;

@@ -6,6 +6,9 @@
 
 /* Of the mean share: less would trust a pilot that may have missed spikes. */
 static const double SHARE_MIN = 0.25;
+/* 1 / (1 + p) is best where variance falls as 1 / samples^p; p is 1 to 1.9, and a power below one
+ * half trusts a pilot of few samples less besides. */
+static const double SHARE_POWER = 0.4;
 
 static double cell_pixels(const struct grid *grid, uint32_t cell)
 {
@@ -44,7 +47,8 @@ static double around(const struct grid *grid, const float *by_place, uint32_t pl
 void allocate_shares(const struct grid *grid, const double *terms, float *shares, float *scratch)
 {
     for (uint32_t cell = 0; cell < grid->cell_count; cell++)
-        scratch[grid->order[cell]] = (float)sqrt(terms[cell] / cell_pixels(grid, cell));
+        scratch[grid->order[cell]] =
+            (float)dmath_pow(terms[cell] / cell_pixels(grid, cell), SHARE_POWER);
     for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
         uint32_t place = grid->order[cell];
         shares[cell] = (float)(0.5 * ((double)scratch[place] + around(grid, scratch, place)));

@@ -1,11 +1,11 @@
 /* master/allocate.h: where samples go: from the pilot's error to blocks per cell.
  *
- * With variance v of a pixel's sample, weighed as relMSE weighs it, the samples that reach an
- * error with the least work are in proportion to sqrt(v) (Neyman 1934), here by squares of 16 x 16
- * pixels. The pilot alone decides the proportions, and its samples are then dropped: samples that
- * decide how many follow them must not be part of the mean, or dark pixels whose spikes were not
- * seen yet would stay dark. Only + - * / and sqrt: the same plan on every machine. Pure; no
- * allocation.
+ * With variance v / samples^p of a pixel, weighed as relMSE weighs it, the samples that reach an
+ * error with the least work are in proportion to v^(1 / (1 + p)): sqrt(v) for independent samples
+ * (Neyman 1934), v^0.4 for well spread ones, and that is taken; by squares of 16 x 16 pixels. The
+ * pilot alone decides the proportions, and its samples are then dropped: samples that decide how
+ * many follow them must not be part of the mean, or dark pixels whose spikes were not seen yet
+ * would stay dark. The same plan on every machine (dmath.h). Pure; no allocation.
  *
  * Tests: tests/unit/test_sample_plan.c.
  */

@@ -26,12 +26,19 @@ static const double DOUBT = 3, UNSEEN = 1.6;
 /* A noisy pixel under its neighbours' median is dark by chance: its level is put so far up to
  * theirs, of the logarithm of at most so much. */
 static const double CHANCE = 0.6, CHANCE_MAX = 2;
+/* A hit is brighter than all that both halves saw nearby by so much, or so much: then it is rarer
+ * than what there is shows, and its pixel darker than its level. By how much noisy pixels have more
+ * error: with hits no brighter, brighter, much brighter (those stand out, and the darker half is
+ * their level already). Measured over twenty scenes, and checked on as many others. */
+static const double BRIGHTER = 2, MUCH_BRIGHTER = 16;
+static const double RARE[] = {1.15, 1.6, 1.2};
 
 /* The film's values row by row: what the neighbours of a pixel say needs them so. */
 struct field {
     uint32_t width, height; /* of the crop */
     float *value;           /* of each channel */
     float *product;         /* A B of each channel: on average the square of the true value */
+    float *darker;          /* of each channel's halves: what both saw */
     float *term;            /* of relMSE, mean over the channels */
     float *difference;      /* of the halves' means, its square on average the mean's variance */
 };
@@ -40,6 +47,7 @@ static void field_release(struct field *f)
 {
     mem_free(f->value);
     mem_free(f->product);
+    mem_free(f->darker);
     mem_free(f->term);
     mem_free(f->difference);
 }
@@ -50,9 +58,10 @@ static enum err field_init(struct field *f, const struct film *film)
     *f = (struct field){.width = film->grid->crop.width, .height = film->grid->crop.height};
     f->value = mem_alloc_array(pixels, FILM_CHANNELS * sizeof(float));
     f->product = mem_alloc_array(pixels, FILM_CHANNELS * sizeof(float));
+    f->darker = mem_alloc_array(pixels, FILM_CHANNELS * sizeof(float));
     f->term = mem_alloc_array(pixels, sizeof(float));
     f->difference = mem_alloc_array(pixels, sizeof(float));
-    if (f->value && f->product && f->term && f->difference)
+    if (f->value && f->product && f->darker && f->term && f->difference)
         return ERR_OK;
     field_release(f);
     return ERR_NOMEM;
@@ -102,6 +111,7 @@ static void note_product(void *ctx, const struct sight *s)
         double x = (s->na * s->a[c] + s->nb * s->b[c]) / (s->na + s->nb);
         j->field.value[s->at * FILM_CHANNELS + c] = (float)x;
         j->field.product[s->at * FILM_CHANNELS + c] = (float)(s->a[c] * s->b[c]);
+        j->field.darker[s->at * FILM_CHANNELS + c] = (float)(s->a[c] < s->b[c] ? s->a[c] : s->b[c]);
         j->total += x;
     }
 }
@@ -130,6 +140,20 @@ static double product_near(const struct field *f, uint64_t at, uint64_t channel)
         for (uint64_t column = w.x0; column <= w.x1; column++)
             sum += (double)f->product[(row * f->width + column) * FILM_CHANNELS + channel];
     return sum > 0 ? sum / ((double)(w.x1 - w.x0 + 1) * (w.y1 - w.y0 + 1)) : 0;
+}
+
+/* The brightest that both halves saw. */
+static double brightest_near(const struct field *f, uint64_t at, uint64_t channel)
+{
+    struct window w = window_of(f, at);
+    float most = 0;
+    for (uint64_t row = w.y0; row <= w.y1; row++) {
+        for (uint64_t column = w.x0; column <= w.x1; column++) {
+            float value = f->darker[(row * f->width + column) * FILM_CHANNELS + channel];
+            most = value > most ? value : most;
+        }
+    }
+    return (double)most;
 }
 
 /* Median of the values. */
@@ -164,6 +188,13 @@ static double unseen(double low, double high)
     return low > 0 && high > DOUBT * low ? 1 + UNSEEN * dmath_log(high / low) : 1;
 }
 
+/* By how much a noisy pixel has more error than its level says, since its hits are rarer than they
+ * look. A half's excess is at least one sample's; `hit` is that sample, if it is one. */
+static double rare(double hit, double brightest)
+{
+    return RARE[hit < BRIGHTER * brightest ? 0 : hit < MUCH_BRIGHTER * brightest ? 1 : 2];
+}
+
 /* The level of a noisy pixel whose neighbours' median is `median`, over its own. */
 static double chance(double own, double median)
 {
@@ -192,8 +223,9 @@ static double term_of(const struct judge *j, const struct sight *s, uint64_t c, 
     double low = darker * darker, product = s->a[c] * s->b[c];
     low = low > product ? low : product;
     low = low < high ? low : high;
-    return over(variance, high + e) * unseen(low + e, high + e) /
-           chance(own + e, median * median + e);
+    double hit = fabs(s->a[c] - s->b[c]) * (s->na + s->nb) / 2;
+    return over(variance, high + e) * unseen(low + e, high + e) *
+           rare(hit, brightest_near(&j->field, s->at, c)) / chance(own + e, median * median + e);
 }
 
 static void note_term(void *ctx, const struct sight *s)

@@ -4,10 +4,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "common/dmath.h"
 #include "common/log.h"
 #include "common/mem.h"
 #include "master/allocate.h"
+#include "master/claim.h"
 #include "master/farm.h"
 
 const char *const job_end_names[JOB_END_COUNT] = {
@@ -18,25 +18,6 @@ const char *const job_end_names[JOB_END_COUNT] = {
 
 /* --- Constants, with where they come from (docs/ERROR.md) ------------------ */
 
-/* Where samples are well spread error falls faster than 1 / samples, by up to this power of them
- * (docs/ERROR.md: 1 to 1.9). The first look comes where the target would be reached then: a look
- * too many costs little, samples too many are not got back. */
-static const double FIRST_POWER = 1.8;
-/* By which power the next look is set. */
-static const double NEXT_POWER = 1.7;
-/* Between two looks samples grow by at least and at most so much. */
-static const double GROWTH_MIN = 1.06, GROWTH_MAX = 4;
-/* What the next look should find, of what is needed. */
-static const double GROWTH_MARGIN = 1.02;
-/* Of the deviation, at every look: one-sided 98.2 % each. Looks are alike, and most jobs look three
- * or four times, so that all together err in well under 5 % of the claims. */
-static const double QUANTILE = 2.1;
-/* Below this effective size the deviation is no measure of the doubt, and no claim is made. */
-static const double CLAIM_EFFECTIVE_MIN = 8;
-/* The estimate and the picture's own error scatter alike and independently. */
-static const double SCATTER = 1.4142135623730951;
-/* Too small an effective size, and no other reason: how it goes on. */
-static const double HEAVY_GROWTH = 1.25;
 /* Of a time limit that a pilot may take and be dropped. */
 static const double PILOT_SHARE = 0.12;
 /* From stage to stage of a job with a time limit. */
@@ -229,23 +210,6 @@ static void seal(struct job_plan *p, enum job_end end)
     p->end = end;
 }
 
-/* The error's upper bound: of the estimate's scatter and of the picture's own. Both are sums of few
- * squares, and so skewed: their logarithms are nearly normal. */
-static double upper_bound(const struct film_error *e)
-{
-    if (!e->known)
-        return (double)INFINITY;
-    if (!(e->relmse > 0))
-        return 0;
-    return e->relmse * dmath_exp(QUANTILE * SCATTER * e->relmse_deviation / e->relmse);
-}
-
-/* Not carried by a handful of spikes. */
-static bool trusted(const struct film_error *e)
-{
-    return !(e->relmse > 0) || e->effective >= CLAIM_EFFECTIVE_MIN;
-}
-
 /* What the pool works out. */
 struct judgement {
     uv_work_t request;
@@ -300,33 +264,27 @@ static void begin_target(struct job *job, const struct judgement *w)
     struct job_plan *p = job->plan;
     double target = job->spec.target_error;
     p->looks++;
-    if (trusted(&w->error) && upper_bound(&w->error) <= target) {
+    if (claim_stands(&w->error, target)) {
         p->pilot = FILM_PILOT_KEPT;
         seal(p, JOB_END_ERROR);
         return;
     }
     p->pilot = FILM_PILOT_DROPPED;
-    p->mean_spp = allocate_mean_for(&job->grid, &job->blocks, w->terms, p->shares, FIRST_POWER,
-                                    target, p->limits);
-    (void)allocate_limits(&job->grid, &job->blocks, p->shares, p->mean_spp, 0, p->limits);
+    p->mean_spp = claim_first(&job->grid, &job->blocks, w->terms, p->shares, target, p->limits);
 }
 
 /* All cells have reached their limits: enough, or how much more. */
 static void look_again(struct job *job, const struct judgement *w)
 {
     struct job_plan *p = job->plan;
-    double upper = upper_bound(&w->error), target = job->spec.target_error;
+    double target = job->spec.target_error;
     p->looks++;
-    if (trusted(&w->error) && upper <= target) {
+    if (claim_stands(&w->error, target)) {
         log_info("jobs", "error is reached job=j%" PRIu64 " looks=%" PRIu32 " relmse=%g upper=%g",
-                 job->rec.id, p->looks, w->error.relmse, upper);
+                 job->rec.id, p->looks, w->error.relmse, claim_upper(&w->error));
         seal(p, JOB_END_ERROR);
         return;
     }
-    double growth = dmath_pow(GROWTH_MARGIN * upper / target, 1 / NEXT_POWER);
-    if (!trusted(&w->error) && growth < HEAVY_GROWTH)
-        growth = HEAVY_GROWTH;
-    growth = growth < GROWTH_MIN ? GROWTH_MIN : growth < GROWTH_MAX ? growth : GROWTH_MAX;
     bool more = false;
     for (uint32_t cell = 0; cell < job->grid.cell_count; cell++)
         more |= p->limits[cell] < job->blocks.count;
@@ -334,7 +292,7 @@ static void look_again(struct job *job, const struct judgement *w)
         seal(p, JOB_END_MAX_SPP);
         return;
     }
-    p->mean_spp *= growth;
+    p->mean_spp *= claim_growth(&w->error, target);
     (void)allocate_limits(&job->grid, &job->blocks, p->shares, p->mean_spp, 0, p->limits);
 }
 

@@ -4,8 +4,9 @@
  *
  * --target-error: the pilot's error by square sets the proportions; the estimate begins with
  * fresh samples and is looked at each time all cells have reached their limits: it is done when
- * the upper bound of its error is below the target, else the limits rise. Everything depends on
- * finished cells alone, so that the picture's bits depend on the scene and the settings only.
+ * the upper bound of its error is below the target, else the limits rise (claim.h). Everything
+ * depends on finished cells alone, so that the picture's bits depend on the scene and the settings
+ * only.
  * --time-limit: where the pilot takes no more than a small share of the time it sets the
  * proportions, else it is kept as the first passes and all cells get the same. Then limits rise
  * while there is time; shortly before the end what is not begun is taken back, and what came in

@@ -20,6 +20,7 @@ import argparse
 import json
 import math
 import pathlib
+import re
 import resource
 import sys
 import tempfile
@@ -161,9 +162,18 @@ def part_target(bench, truths, runs, spp, max_spp):
     return rows
 
 
-# As master/job_plan.c has them.
-QUANTILE, FIRST_POWER, NEXT_POWER, HEAVY_GROWTH, EFFECTIVE_MIN = 2.1, 1.8, 1.7, 1.25, 8
-GROWTH_MIN, GROWTH_MAX, GROWTH_MARGIN = 1.06, 4, 1.02
+RULE = (ROOT / "master/claim.c").read_text()
+
+
+def constant(name):
+    """Of the rule, as the master has it."""
+    return float(re.search(rf"\b{name} = ([0-9.]+)", RULE).group(1))
+
+
+QUANTILE, EFFECTIVE_MIN = constant("QUANTILE"), constant("CLAIM_EFFECTIVE_MIN")
+FIRST_POWER, NEXT_POWER = constant("FIRST_POWER"), constant("NEXT_POWER")
+GROWTH_MIN, GROWTH_MAX = constant("GROWTH_MIN"), constant("GROWTH_MAX")
+GROWTH_MARGIN, HEAVY_GROWTH = constant("GROWTH_MARGIN"), constant("HEAVY_GROWTH")
 
 
 def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
@@ -176,14 +186,14 @@ def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
     def halves(spp):
         return random.standard_normal((2, groups, freedom)) * deviation * math.sqrt(spp / 2)
 
-    a, b = halves(16)
-    spp = 16 * (((a - b) ** 2).mean() / 256 / aim) ** (1 / FIRST_POWER)
+    a, b = halves(4)
+    spp = 4 * (((a - b) ** 2).mean() / 16 / aim) ** (1 / FIRST_POWER)
     sums = halves(spp)
     while spp < 20 / aim:
         a, b = sums / (spp / 2)
         terms = (a - b) ** 2 / 4
         effective = terms.sum() ** 2 / (terms ** 2).sum()
-        upper = terms.mean() * math.exp(QUANTILE * math.sqrt(2 / effective))
+        upper = terms.mean() * math.exp(QUANTILE / math.sqrt(effective))
         heavy = effective < EFFECTIVE_MIN
         if upper <= aim and not heavy:
             return spp, (((a + b) / 2) ** 2).mean()

@@ -8,3 +8,4 @@ tilery_test(test_provenance LABEL unit LINKS tl_master SOURCES ${PROJECT_SOURCE_
 tilery_test(test_rate LABEL unit LINKS tl_master SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/test_rate.c)
 tilery_test(test_tag_table LABEL unit LINKS tl_master SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/test_tag_table.c)
 tilery_test(test_sample_plan LABEL unit LINKS tl_master m SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/test_sample_plan.c)
+tilery_test(test_claim LABEL unit LINKS tl_master m SOURCES ${PROJECT_SOURCE_DIR}/tests/unit/test_claim.c)

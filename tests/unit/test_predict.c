@@ -127,18 +127,18 @@ static void test_target(void **state)
     near(predict(&p, &spec).spp_mean, 16 * pow(1.05 * 1.27 * 0.01 / 1e-4, 1 / 1.5), 0.06);
     double steps = 1.05 * (1 + 0.3 * (predict_fit_error(&p).power - 1.2));
     near(predict(&p, &spec).relmse, 1e-4 / steps, 1e-9);
-    /* A deviation of a tenth: the bound is exp(2.1 sqrt(2) / 10) away. In four times the pixels
+    /* A deviation of a tenth: the bound is exp(2.3 / 10) away. In four times the pixels
      * half. */
     for (int i = 0; i < PILOTS_MAX; i++)
         p.of[i].deviation = 0.1 * p.of[i].relmse;
-    near(predict(&p, &spec).relmse, 1e-4 / steps / exp(0.21 * sqrt(2)), 0.01);
+    near(predict(&p, &spec).relmse, 1e-4 / steps / exp(0.23), 0.01);
     p.pixel_ratio = 4;
-    near(predict(&p, &spec).relmse, 1e-4 / steps / exp(0.105 * sqrt(2)), 0.01);
+    near(predict(&p, &spec).relmse, 1e-4 / steps / exp(0.115), 0.01);
     p.pixel_ratio = 1;
     for (int i = 0; i < PILOTS_MAX; i++)
         p.of[i].relmse = p.of[i].deviation = 0;
     struct prediction said = predict(&p, &spec);
-    assert_true(said.spp_mean == 16 && said.seconds > 0 && isfinite(said.seconds_high));
+    assert_true(said.spp_mean == 4 && said.seconds > 0 && isfinite(said.seconds_high));
 }
 
 /* Times that fall with the samples (another program had the machine) still give a cost. */

@@ -1,0 +1,80 @@
+/* The rule of --target-error: its bound, what makes no claim, and how far a job goes on. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+#include <math.h>
+
+#include "master/claim.h"
+
+/* An error of so many pixels alike. */
+static struct film_error error_of(double relmse, double effective)
+{
+    return (struct film_error){.known = true,
+                               .relmse = relmse,
+                               .relmse_deviation = relmse / sqrt(effective),
+                               .effective = effective};
+}
+
+/* The bound is above the error, less so the surer it is, and scales with it. */
+static void test_bound(void **state)
+{
+    (void)state;
+    double before = INFINITY;
+    for (double effective = 1; effective < 1e6; effective *= 3) {
+        struct film_error e = error_of(0.01, effective), twice = error_of(0.02, effective);
+        double upper = claim_upper(&e);
+        assert_true(upper > 0.01 && upper < before);
+        assert_true(fabs(claim_upper(&twice) / upper - 2) < 1e-12);
+        before = upper;
+    }
+    struct film_error e = error_of(0.01, 100);
+    assert_true(fabs(claim_upper(&e) - 0.01 * exp(0.23)) < 1e-12);
+    assert_true(claim_stands(&e, 0.0126) && !claim_stands(&e, 0.0125));
+}
+
+/* Nothing known, no claim; nothing wrong, any claim. */
+static void test_edges(void **state)
+{
+    (void)state;
+    struct film_error unknown = {0}, none = {.known = true};
+    assert_true(isinf(claim_upper(&unknown)) && !claim_stands(&unknown, 1e9));
+    assert_true(claim_stands(&none, 1e-30));
+}
+
+/* A handful of spikes vouches for nothing, however small the error. */
+static void test_few_pixels(void **state)
+{
+    (void)state;
+    struct film_error few = error_of(1e-9, 7.9), enough = error_of(1e-9, 8.1);
+    assert_false(claim_stands(&few, 1));
+    assert_true(claim_stands(&enough, 1));
+    assert_true(claim_growth(&few, 1) > 1.2 && claim_growth(&few, 1) < 1.3);
+}
+
+/* A job goes on the further, the more is missing, and never stands still. */
+static void test_growth(void **state)
+{
+    (void)state;
+    double before = 1;
+    for (double target = 0.02; target > 1e-6; target /= 1.5) {
+        struct film_error e = error_of(0.01, 1000);
+        double growth = claim_growth(&e, target);
+        assert_true(growth > 1 && growth >= before && growth <= 4);
+        before = growth;
+    }
+    assert_true(before == 4);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_bound),
+        cmocka_unit_test(test_edges),
+        cmocka_unit_test(test_few_pixels),
+        cmocka_unit_test(test_growth),
+    };
+    return cmocka_run_group_tests_name("claim", tests, NULL, NULL);
+}
