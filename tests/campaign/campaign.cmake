@@ -8,3 +8,13 @@ if(TILERY_TESTS)
   endforeach()
   target_compile_definitions(tilery_shim_memory PRIVATE SHIM_MEMORY)
 endif()
+
+# Claims of an error: samples of many seeds, and what --target-error would have made of them.
+if(TILERY_TESTS)
+  tilery_program(claim_samples LINKS tl_worker m
+    SOURCES ${PROJECT_SOURCE_DIR}/tests/campaign/claim_samples.c)
+  tilery_program(claim_replay LINKS tl_master m
+    SOURCES ${PROJECT_SOURCE_DIR}/tests/campaign/claim_replay.c)
+endif()
+tilery_script_test(claims_quick LABEL render TIMEOUT 600
+  COMMAND ${PROJECT_SOURCE_DIR}/tests/campaign/claims.py --quick)
