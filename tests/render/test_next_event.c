@@ -102,17 +102,15 @@ static void candidates_keep_the_mean(void **state)
     }
 }
 
-/* Lamps found by bsdf sampling alone, by candidates alone, and by both: one picture. */
-static void profiles_agree(void **state)
+/* Light found by bsdf sampling alone, by light sampling alone, and by both: one picture, and the
+ * variance of the last two. */
+static void check_profiles(struct scene *s, double variance[3])
 {
-    (void)state;
-    struct scene s;
-    make_scene(&s, SCENE_MATERIAL_ROUGH_CONDUCTOR, false);
-    s.camera.fov = 16; /* the floor, no lamp */
-    v3_put(s.camera.position, v3(0, -5, 3));
-    v3_put(s.camera.look_at, v3(0, 0, 0));
-    v3_put(s.camera.ref_up, v3(0, 0, 1));
-    double mean[3], variance[3];
+    s->camera.fov = 16; /* the floor, no lamp */
+    v3_put(s->camera.position, v3(0, -5, 3));
+    v3_put(s->camera.look_at, v3(0, 0, 0));
+    v3_put(s->camera.ref_up, v3(0, 0, 1));
+    double mean[3];
     static const enum job_profile profiles[3] = {JOB_PROFILE_MIS, JOB_PROFILE_NEE, JOB_PROFILE_RW};
     for (int i = 0; i < 3; i++) {
         enum { SEEDS = 8 };
@@ -122,7 +120,7 @@ static void profiles_agree(void **state)
             spec.integrator = JOB_INTEGRATOR_DIRECT;
             spec.profile = profiles[i];
             spec.seed = seed;
-            struct kit_picture p = kit_render(&s, &spec, 0);
+            struct kit_picture p = kit_render(s, &spec, 0);
             double m = kit_picture_mean(&p);
             sum += m;
             sum2 += m * m;
@@ -134,7 +132,35 @@ static void profiles_agree(void **state)
     }
     for (int i = 1; i < 3; i++)
         assert_true(fabs(mean[i] - mean[0]) < 5 * sqrt(variance[i] + variance[0]) + 1e-4 * mean[0]);
+}
+
+static void profiles_agree(void **state)
+{
+    (void)state;
+    struct scene s;
+    double variance[3];
+    make_scene(&s, SCENE_MATERIAL_ROUGH_CONDUCTOR, false);
+    check_profiles(&s, variance);
     assert_true(variance[0] < variance[1]);
+    scene_release(&s);
+}
+
+/* Several points at once under a sky, which hangs on the choice of a light as much as on the
+ * points: the same picture. Only the first vertex of a path draws them. */
+static void profiles_agree_under_a_sky(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct render_scene *scene;
+    double variance[3];
+    make_scene(&s, SCENE_MATERIAL_DIFFUSE, false);
+    kit_constant_sky(&s, 1.5);
+    check_profiles(&s, variance);
+    struct job_spec spec = kit_spec(4, 1);
+    assert_int_equal(scene_build(&s, &spec, NULL, &scene), ERR_OK);
+    assert_int_equal(next_event_points(scene, true), NEXT_EVENT_POINTS_MAX);
+    assert_int_equal(next_event_points(scene, false), 1);
+    render_scene_free(scene);
     scene_release(&s);
 }
 
@@ -148,6 +174,7 @@ static void one_is_enough(void **state)
     make_scene(&s, SCENE_MATERIAL_DIFFUSE, true);
     assert_int_equal(scene_build(&s, &spec, NULL, &scene), ERR_OK);
     assert_int_equal(next_event_count(scene, &scene->materials[0]), 1);
+    assert_int_equal(next_event_points(scene, true), 1);
     render_scene_free(scene);
     scene_release(&s);
 }
@@ -157,6 +184,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(candidates_keep_the_mean),
         cmocka_unit_test(profiles_agree),
+        cmocka_unit_test(profiles_agree_under_a_sky),
         cmocka_unit_test(one_is_enough),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -31,15 +31,6 @@ static vec3 refracted(vec3 wo, double eta, double cost)
     return v3(-wo.x / eta, -wo.y / eta, wo.z > 0 ? -cost : cost);
 }
 
-static rgb diffuse_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf)
-{
-    *pdf = 0;
-    if (wo.z * wi.z <= 0)
-        return rgb_grey(0);
-    *pdf = fabs(wi.z) * VEC_INV_PI;
-    return rgb_scale(b->color, *pdf);
-}
-
 static bool diffuse_sample(const struct bsdf *b, vec3 wo, const double u[3], struct bsdf_sample *s)
 {
     vec3 wi = warp_cosine_hemisphere(u[0], u[1]);
@@ -109,7 +100,7 @@ rgb bsdf_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf)
     *pdf = 0;
     switch (m->type) {
     case SCENE_MATERIAL_DIFFUSE:
-        return wo.z > 0 || flip ? diffuse_eval(b, wo, wi, pdf) : rgb_grey(0);
+        return bsdf_diffuse_eval(b, wo.z, wi.z, pdf);
     case SCENE_MATERIAL_ROUGH_CONDUCTOR:
         return flip ? conductor_eval(b, v3_neg(wo), v3_neg(wi), pdf)
                     : conductor_eval(b, wo, wi, pdf);

@@ -95,6 +95,16 @@ struct bsdf_sample {
 /* f |cos(wi)|, and the pdf with which bsdf_sample draws wi. */
 rgb bsdf_eval(const struct bsdf *b, vec3 wo, vec3 wi, double *pdf);
 
+/* The same of a diffuse surface, which hangs on the local z of both alone. */
+static inline rgb bsdf_diffuse_eval(const struct bsdf *b, double wo_z, double wi_z, double *pdf)
+{
+    *pdf = 0;
+    if (!(wo_z > 0 || (b->material->twosided && wo_z < 0)) || wo_z * wi_z <= 0)
+        return rgb_grey(0);
+    *pdf = fabs(wi_z) * VEC_INV_PI;
+    return rgb_scale(b->color, *pdf);
+}
+
 /* bsdf_eval of each wi whose bit is set in `mask`, the same bits, in vectors where the CPU has
  * them. */
 enum { BSDF_MANY = 8 };

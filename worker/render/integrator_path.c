@@ -21,9 +21,17 @@ struct vertex {
     struct footprint *footprint;
     struct shade at;
     struct choices choices;
-    uint32_t candidates;       /* on lights; 0: it looks for none */
-    bool lit;                  /* the only candidate is there */
-    struct light_sample light; /* and this */
+    uint32_t candidates; /* on lights, of which one is kept; 0: it looks for none */
+    uint32_t points;     /* of the only candidate: that each have a shadow ray */
+    uint32_t lit;        /* bit k: point k is there */
+    struct light_sample lights[NEXT_EVENT_POINTS_MAX];
+};
+
+/* Points on lights that are drawn side by side, and whose they are. */
+struct looks {
+    uint32_t count;
+    struct light_point points[LIGHT_POINTS_MAX];
+    uint32_t vertices[LIGHT_POINTS_MAX], numbers[LIGHT_POINTS_MAX];
 };
 
 enum choice { CHOICE_LOBE, CHOICE_ROULETTE, CHOICE_LIGHT, CHOICE_CANDIDATE };
@@ -122,58 +130,107 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
 }
 
+/* Draws the points that are gathered, and forgets them. */
+static void look(const struct render_scene *scene, struct looks *l, struct vertex vertices[])
+{
+    struct light_sample lights[LIGHT_POINTS_MAX];
+    uint32_t there = light_sample_points(&scene->lights, l->count, l->points, lights);
+    for (uint32_t i = 0; i < l->count; i++) {
+        if (!(there >> i & 1))
+            continue;
+        vertices[l->vertices[i]].lit |= 1u << l->numbers[i];
+        vertices[l->vertices[i]].lights[l->numbers[i]] = lights[i];
+    }
+    l->count = 0;
+}
+
+/* The numbers of the points of vertices that draw several: point k of one is u[..][its number times
+ * NEXT_EVENT_POINTS_MAX, plus k]. Those of a pixel's samples follow each other in one sequence. */
+static void draw_points(const struct render_scratch *w, uint32_t count,
+                        const struct vertex vertices[],
+                        double u[SAMPLER_SET_VALUES][LIGHT_POINTS_MAX * NEXT_EVENT_POINTS_MAX])
+{
+    struct sampler samplers[LIGHT_POINTS_MAX * NEXT_EVENT_POINTS_MAX];
+    for (uint32_t k = 0; k < count; k++) {
+        for (uint32_t i = 0; i < NEXT_EVENT_POINTS_MAX; i++) {
+            struct sampler *s = &samplers[k * NEXT_EVENT_POINTS_MAX + i];
+            *s = w->paths[w->active[vertices[k].from]].own;
+            s->index = s->index * NEXT_EVENT_POINTS_MAX + i;
+        }
+    }
+    double *const values[SAMPLER_SET_VALUES] = {u[0], u[1], u[2], u[3]};
+    sampler_sets(samplers, count * NEXT_EVENT_POINTS_MAX, WAVE_SET_POINTS, 2, values);
+}
+
 /* Draws points on lights for vertices that take the first they get: side by side, since a sky that
  * is a picture is drawn many directions at once. */
-static void find_lights(const struct render_scene *scene, struct render_scratch *w, uint32_t count,
-                        struct vertex vertices[])
+static void find_lights(const struct render_scene *scene, struct render_scratch *w, uint32_t depth,
+                        uint32_t count, struct vertex vertices[])
 {
-    struct light_point points[LIGHT_POINTS_MAX];
-    struct light_sample lights[LIGHT_POINTS_MAX];
-    uint32_t numbers[LIGHT_POINTS_MAX], point_count = 0;
+    double u[SAMPLER_SET_VALUES][LIGHT_POINTS_MAX * NEXT_EVENT_POINTS_MAX];
+    uint32_t points = next_event_points(scene, depth == 1);
+    struct looks looks = {.count = 0};
+    if (points > 1)
+        draw_points(w, count, vertices, u);
     for (uint32_t k = 0; k < count; k++) {
         struct vertex *v = &vertices[k];
         const struct path *path = &w->paths[w->active[v->from]];
         const struct material *m = v->at.bsdf.material;
-        bool looks = !m->is_delta && scene->spec.profile != JOB_PROFILE_RW;
-        v->candidates = looks ? next_event_count(scene, m) : 0;
-        v->lit = false;
+        bool wanted = !m->is_delta && scene->spec.profile != JOB_PROFILE_RW;
+        v->candidates = wanted ? next_event_count(scene, m) : 0;
+        v->points = v->candidates == 1 ? points : 0;
+        v->lit = 0;
         if (v->candidates != 1)
             continue;
         double light = scene->lights.count > 1 ? choose(&v->choices, path, CHOICE_LIGHT) : 0;
-        points[point_count] = (struct light_point){v->at.surface.p, next_event_side(&v->at), light,
-                                                   path->light_u[0], path->light_u[1]};
-        numbers[point_count++] = k;
+        for (uint32_t i = 0; i < points; i++) {
+            const uint32_t number = k * NEXT_EVENT_POINTS_MAX + i;
+            struct light_point *p = &looks.points[looks.count];
+            *p = (struct light_point){v->at.surface.p, next_event_side(&v->at), light,
+                                      path->light_u[0], path->light_u[1]};
+            if (points > 1) {
+                p->choose = (light + i) / points;
+                p->u = u[0][number];
+                p->v = u[1][number];
+            }
+            looks.vertices[looks.count] = k;
+            looks.numbers[looks.count++] = i;
+            if (looks.count == LIGHT_POINTS_MAX)
+                look(scene, &looks, vertices);
+        }
     }
-    uint32_t there = light_sample_points(&scene->lights, point_count, points, lights);
-    for (uint32_t i = 0; i < point_count; i++) {
-        if (!(there >> i & 1))
-            continue;
-        vertices[numbers[i]].lit = true;
-        vertices[numbers[i]].light = lights[i];
-    }
+    look(scene, &looks, vertices);
 }
 
-/* Next-event estimation: a shadow ray to a point drawn on a light. */
+/* A shadow ray to a point on a light. */
+static void connect(struct render_scratch *w, const struct vertex *v,
+                    const struct light_sample *light, rgb arriving)
+{
+    const struct surface *s = &v->at.surface;
+    uint32_t index = w->active[v->from];
+    vec3 org = surface_offset(s->p, s->ng, s->error, light->wi);
+    wave_shadow(w, index, org, light->target, light->distant, light->wi,
+                rgb_mul(arriving, w->paths[index].beta));
+}
+
+/* Next-event estimation: shadow rays to points drawn on lights. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
                            struct vertex *v)
 {
     struct next_event event;
-    uint32_t index = w->active[v->from];
-    const struct path *path = &w->paths[index];
+    const struct path *path = &w->paths[w->active[v->from]];
     if (v->candidates > 1) {
         double light = choose(&v->choices, path, CHOICE_LIGHT);
         double keep = choose(&v->choices, path, CHOICE_CANDIDATE);
-        if (!next_event_draw(scene, &v->at, v->candidates, light, keep, path->light_u, &event))
-            return;
-    } else {
-        event.light = v->light;
-        if (!v->lit || !next_event_weigh(scene, &v->at, &event.light, &event.arriving))
-            return;
+        if (next_event_draw(scene, &v->at, v->candidates, light, keep, path->light_u, &event))
+            connect(w, v, &event.light, event.arriving);
+        return;
     }
-    const struct surface *s = &v->at.surface;
-    vec3 wi = event.light.wi, org = surface_offset(s->p, s->ng, s->error, wi);
-    wave_shadow(w, index, org, event.light.target, event.light.distant, wi,
-                rgb_mul(event.arriving, path->beta));
+    for (uint32_t i = 0; i < v->points; i++) {
+        rgb arriving;
+        if (v->lit >> i & 1 && next_event_weigh(scene, &v->at, v->points, &v->lights[i], &arriving))
+            connect(w, v, &v->lights[i], arriving);
+    }
 }
 
 /* Below the threshold a path survives in proportion to what it carries, and then carries the
@@ -203,8 +260,8 @@ static bool last_edge_counts(const struct render_scene *scene, bool delta)
 
 /* Draws where the path goes on; false if it ends. */
 static bool scatter(const struct render_scene *scene, struct path *path, const struct shade *at,
-                    const double direction[2], struct choices *choices, bool shares, vec3 *wi,
-                    struct bsdf_sample *sample)
+                    const double direction[2], struct choices *choices, bool shares, bool first,
+                    vec3 *wi, struct bsdf_sample *sample)
 {
     double lobe = at->bsdf.material->one_lobe ? 0 : choose(choices, path, CHOICE_LOBE);
     const double u[3] = {direction[0], direction[1], lobe};
@@ -223,6 +280,8 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     path->org = at->surface.p;
     path->n = next_event_side(at);
     path->candidates = next_event_count(scene, at->bsdf.material);
+    if (path->candidates == 1)
+        path->candidates = next_event_points(scene, first);
     /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
     return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices));
 }
@@ -277,7 +336,7 @@ static bool leave(const struct render_scene *scene, struct render_scratch *w, st
         shares = true;
     }
     struct bsdf_sample sample;
-    if (!scatter(scene, path, &v->at, direction, &v->choices, shares, &wi, &sample))
+    if (!scatter(scene, path, &v->at, direction, &v->choices, shares, depth == 1, &wi, &sample))
         return false;
     if (v->footprint)
         wave_leave(scene, &v->at, &w->hits[v->from], v->dir, wi, &sample, v->footprint);
@@ -298,7 +357,10 @@ static void advance(const struct render_scene *scene, struct render_scratch *w, 
         for (; from < w->active_count && count < LIGHT_POINTS_MAX; from++)
             count += w->hits[from].object != SCENE_NONE &&
                      arrive(scene, w, from, depth, depth_max, &vertices[count]);
-        find_lights(scene, w, count, vertices);
+        find_lights(scene, w, depth, count, vertices);
+        /* So many shadow rays may come. */
+        if (w->shadow_count + count * NEXT_EVENT_POINTS_MAX > WAVE_PATHS)
+            wave_gather(scene, w);
         for (uint32_t k = 0; k < count; k++)
             kept += leave(scene, w, &vertices[k], depth, depth_max, kept);
     }

@@ -13,6 +13,11 @@ uint32_t next_event_count(const struct render_scene *scene, const struct materia
                                                   : NEXT_EVENT_CANDIDATES_MAX;
 }
 
+uint32_t next_event_points(const struct render_scene *scene, bool first)
+{
+    return first && scene->lights.environment.present ? NEXT_EVENT_POINTS_MAX : 1;
+}
+
 vec3 next_event_side(const struct shade *at)
 {
     if (at->bsdf.material->transmits)
@@ -20,26 +25,27 @@ vec3 next_event_side(const struct shade *at)
     return at->wo.z < 0 ? v3_neg(at->frame.n) : at->frame.n;
 }
 
-/* What a candidate, one of `count`, sends back along the path from local wi. */
+/* What a candidate, one of `count`, sends back along the path from wi with that local z. */
 static rgb arriving_from(const struct render_scene *scene, const struct shade *at, uint32_t count,
-                         const struct light_sample *light, vec3 wi, rgb f, double pdf)
+                         const struct light_sample *light, double wi_z, rgb f, double pdf)
 {
-    double weight = shade_tilt_shadowing(at, light->wi, wi.z) / light->pdf;
+    double weight = shade_tilt_shadowing(at, light->wi, wi_z) / light->pdf;
     if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
         weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf)
                                  : next_event_weight(count * light->pdf, pdf);
     return rgb_scale(rgb_mul(f, light->radiance), weight);
 }
 
-bool next_event_weigh(const struct render_scene *scene, const struct shade *at,
+bool next_event_weigh(const struct render_scene *scene, const struct shade *at, uint32_t points,
                       const struct light_sample *light, rgb *arriving)
 {
-    vec3 wi = frame_to_local(&at->frame, light->wi);
-    if (!shade_is_consistent(at, light->wi, wi.z))
+    double wi_z = v3_dot(at->frame.n, light->wi), pdf;
+    if (!shade_is_consistent(at, light->wi, wi_z))
         return false;
-    double pdf;
-    rgb f = bsdf_eval(&at->bsdf, at->wo, wi, &pdf);
-    *arriving = arriving_from(scene, at, 1, light, wi, f, pdf);
+    rgb f = at->bsdf.material->type == SCENE_MATERIAL_DIFFUSE
+                ? bsdf_diffuse_eval(&at->bsdf, at->wo.z, wi_z, &pdf)
+                : bsdf_eval(&at->bsdf, at->wo, frame_to_local(&at->frame, light->wi), &pdf);
+    *arriving = rgb_scale(arriving_from(scene, at, points, light, wi_z, f, pdf), 1.0 / points);
     return !rgb_is_black(f);
 }
 
@@ -49,7 +55,7 @@ static bool draw_one(const struct render_scene *scene, const struct shade *at, d
 {
     return light_sample(&scene->lights, at->surface.p, next_event_side(at), choose, u[0], u[1],
                         &out->light) &&
-           next_event_weigh(scene, at, &out->light, &out->arriving);
+           next_event_weigh(scene, at, 1, &out->light, &out->arriving);
 }
 
 /* What the candidates in `there`, of `count`, send back along the path; black: nothing. */
@@ -69,7 +75,7 @@ static void weigh(const struct render_scene *scene, const struct shade *at, uint
     for (uint32_t k = 0; k < count; k++)
         arriving[k] = !(there >> k & 1) || rgb_is_black(f[k])
                           ? rgb_grey(0)
-                          : arriving_from(scene, at, count, &lights[k], wi[k], f[k], pdf[k]);
+                          : arriving_from(scene, at, count, &lights[k], wi[k].z, f[k], pdf[k]);
 }
 
 /* x + k a, wrapped into [0,1). */

@@ -7,6 +7,9 @@
  * importance sampling is a part of what is kept or dropped, so it may be that of the candidates as
  * so many samples, and hangs on light_pdf and bsdf_eval alone.
  *
+ * Under a sky most noise is in what hides it. A shadow ray is cheap beside the camera ray that led
+ * there and what follows, so the first vertex of a path casts several; those after it carry less.
+ *
  * Any thread. Tests: test_next_event, test_mitsuba.
  */
 #ifndef WORKER_RENDER_NEXT_EVENT_H
@@ -14,7 +17,7 @@
 
 #include "worker/render/shade.h"
 
-enum { NEXT_EVENT_CANDIDATES_MAX = 8 };
+enum { NEXT_EVENT_CANDIDATES_MAX = 8, NEXT_EVENT_POINTS_MAX = 4 };
 
 struct next_event {
     struct light_sample light;
@@ -28,8 +31,13 @@ uint32_t next_event_count(const struct render_scene *scene, const struct materia
 /* The side from which a surface takes light, for light_sample. */
 vec3 next_event_side(const struct shade *at);
 
-/* What the only candidate of a vertex sends back along the path; false if nothing. */
-bool next_event_weigh(const struct render_scene *scene, const struct shade *at,
+/* How many points on lights a vertex where one candidate is enough casts shadow rays to, each to
+ * one of its own; `first`: of its path. */
+uint32_t next_event_points(const struct render_scene *scene, bool first);
+
+/* What the only candidate of a vertex, for one of `points` shadow rays, sends back along the path;
+ * false if nothing. */
+bool next_event_weigh(const struct render_scene *scene, const struct shade *at, uint32_t points,
                       const struct light_sample *light, rgb *arriving);
 
 /* Draws `count` candidates and keeps one. `choose` picks their lights, u and v their points, `keep`

@@ -6,6 +6,7 @@
 
 #include "worker/render/first_hit.h"
 #include "worker/render/accel_lazy.h"
+#include "worker/render/next_event.h"
 #include "worker/render/wave.h"
 
 /* Round to nearest, exceptions masked, no flush to zero. */
@@ -131,8 +132,9 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     const struct job_spec *spec = &scene->spec;
     uint32_t index = w->path_count++;
     struct path *path = &w->paths[index];
-    w->samplers[index] = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, sequence_of(c),
-                                    c->block.begin + c->sample);
+    path->own = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, sequence_of(c),
+                           c->block.begin + c->sample);
+    w->samplers[index] = path->own;
     path->sampler = group_sampler(scene, c, x, y);
     path->x = x;
     path->y = y;
@@ -171,9 +173,11 @@ static void aim_paths(const struct render_scene *scene, struct render_scratch *w
 {
     double(*u)[WAVE_PATHS] = w->vertex_u;
     double *const values[SAMPLER_SET_VALUES] = {u[0], u[1], u[2], u[3]};
-    /* Where lights are sampled, the first two numbers, which are spread best, are theirs. */
-    bool lights = scene->spec.integrator == JOB_INTEGRATOR_PATH ||
-                  scene->spec.integrator == JOB_INTEGRATOR_DIRECT;
+    /* Where one point on a light is drawn, the first two numbers, which are spread best, are its.
+     */
+    bool lights = (scene->spec.integrator == JOB_INTEGRATOR_PATH ||
+                   scene->spec.integrator == JOB_INTEGRATOR_DIRECT) &&
+                  next_event_points(scene, true) == 1;
     sampler_sets(w->samplers, w->path_count, WAVE_SET_CAMERA, lights ? 4 : 2, values);
     int film = lights ? 2 : 0;
     for (uint32_t i = 0; i < w->path_count; i++) {

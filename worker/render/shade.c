@@ -93,9 +93,9 @@ static double tilt_alpha2(double cosine)
     return alpha2 > 0 ? (alpha2 < 1 ? alpha2 : 1) : cos2 > 0 ? 0 : 1;
 }
 
-double shade_tilt_shadowing(const struct shade *s, vec3 wi, double wi_local_z)
+double shade_tilted(const struct shade *s, vec3 wi, double wi_local_z)
 {
-    if (!(s->tilt_alpha2 > 0) || wi_local_z * s->wo.z < 0)
+    if (wi_local_z * s->wo.z < 0)
         return 1;
     double cosine = v3_dot(s->smooth, wi), cos2 = cosine * cosine;
     if (!(cos2 > 0))

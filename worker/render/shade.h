@@ -35,7 +35,12 @@ rgb shade_emission(const struct render_scene *scene, const struct hit *hit, cons
  * normal ends in a hard edge where wi sinks below the surface (Conty Estevez, Lecocq and Stein
  * 2019, "A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem"). A
  * factor of the scattering function, whichever technique finds wi. Tests: test_shade. */
-double shade_tilt_shadowing(const struct shade *s, vec3 wi, double wi_local_z);
+double shade_tilted(const struct shade *s, vec3 wi, double wi_local_z);
+
+static inline double shade_tilt_shadowing(const struct shade *s, vec3 wi, double wi_local_z)
+{
+    return s->tilt_alpha2 > 0 ? shade_tilted(s, wi, wi_local_z) : 1;
+}
 
 /* True if wi (scene space) lies on the same side of shading and geometric normal, so that a
  * reflection stays a reflection and a transmission one. */

@@ -23,7 +23,8 @@ enum {
 };
 
 struct path {
-    struct sampler sampler; /* of the group; the camera's numbers come from the pixel's own */
+    struct sampler sampler; /* of the group */
+    struct sampler own; /* of the pixel: the camera's numbers, and points on lights at vertex 0 */
     rgb radiance;
     rgb beta; /* throughput */
     double filter_weight;
@@ -31,7 +32,7 @@ struct path {
     double carried; /* what beta is multiplied by in roulette: throughput set aside by reuse */
     double pdf;     /* with which the last direction was drawn; 0: by a delta lobe, or camera */
     vec3 org, n;    /* where the last direction left from, and light_sample's n there */
-    uint32_t candidates; /* that light sampling drew there */
+    uint32_t candidates; /* samples of lights that were drawn there */
     double light_u[2];   /* where on a light the next vertex looks */
     uint32_t asked;      /* surfaces met that are not quite opaque */
     uint32_t x, y;       /* pixel of the full picture */
@@ -84,14 +85,16 @@ struct render_scratch {
  * from one set, since together they make one integrand; so are the film point and the light point
  * at the first vertex. */
 enum {
-    WAVE_SET_CAMERA = 0, /* light u, v at vertex 0; film x, y (alone: if no light is sampled) */
+    WAVE_SET_CAMERA = 0, /* light u, v at vertex 0; film x, y (alone: where vertex 0 draws no
+                            light point, or several) */
     WAVE_SET_LENS = 1,   /* lens u, v */
     WAVE_SET_VERTEX = 2, /* of vertex 0: bsdf u, v; light u, v at vertex 1 */
     WAVE_SET_CHOICE = 3, /* of vertex 0: bsdf lobe, roulette, which light, which
                             candidate */
     WAVE_SETS_PER_VERTEX = 2,
-    WAVE_SET_SHARE = 1 << 29, /* roulette of reuse */
-    WAVE_SET_PASS = 1 << 30,  /* opacity of the first surface that is asked, and so on */
+    WAVE_SET_POINTS = 1 << 28, /* of the pixel: several light points at vertex 0, each a sample */
+    WAVE_SET_SHARE = 1 << 29,  /* roulette of reuse */
+    WAVE_SET_PASS = 1 << 30,   /* opacity of the first surface that is asked, and so on */
 };
 
 /* A path that has met so many surfaces that are not quite opaque, and a shadow ray that has gone

@@ -5,6 +5,7 @@
 #include <emmintrin.h>
 
 #include "common/dmath.h"
+#include "worker/render/next_event.h"
 #include "worker/render/warp.h"
 
 /* Cells across the map: as many as texels, within these bounds. A picture of few texels has light
@@ -16,9 +17,10 @@ enum { CELLS_ACROSS_MIN = 128, CELLS_ACROSS_MAX = 2048, CELLS_ACROSS_PATTERN = 2
 static const double SKY_FLOOR = 0.001;
 
 /* So much of the cosine's own density is left to the surface's directions, where both kinds are
- * drawn: the two together, one of each, then have the density of what a diffuse surface reflects.
- */
-static const double COMPENSATION = 0.5;
+ * drawn: the two together, several of the sky and one of the surface, then have the density of what
+ * a diffuse surface reflects. Behind the first vertex of a path, where there is one of each, half
+ * would be right. */
+static const double COMPENSATION = 1.0 / (1 + NEXT_EVENT_POINTS_MAX);
 
 /* Of its light, the least that a block counts after that. */
 static const double BLOCK_FLOOR = 0.02;
