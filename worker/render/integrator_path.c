@@ -203,8 +203,8 @@ static void find_lights(const struct render_scene *scene, struct render_scratch 
 }
 
 /* A shadow ray to a point on a light. */
-static void connect(struct render_scratch *w, const struct vertex *v,
-                    const struct light_sample *light, rgb arriving)
+static void cast_shadow(struct render_scratch *w, const struct vertex *v,
+                        const struct light_sample *light, rgb arriving)
 {
     const struct surface *s = &v->at.surface;
     uint32_t index = w->active[v->from];
@@ -223,13 +223,13 @@ static void connect_lights(const struct render_scene *scene, struct render_scrat
         double light = choose(&v->choices, path, CHOICE_LIGHT);
         double keep = choose(&v->choices, path, CHOICE_CANDIDATE);
         if (next_event_draw(scene, &v->at, v->candidates, light, keep, path->light_u, &event))
-            connect(w, v, &event.light, event.arriving);
+            cast_shadow(w, v, &event.light, event.arriving);
         return;
     }
     for (uint32_t i = 0; i < v->points; i++) {
         rgb arriving;
         if (v->lit >> i & 1 && next_event_weigh(scene, &v->at, v->points, &v->lights[i], &arriving))
-            connect(w, v, &v->lights[i], arriving);
+            cast_shadow(w, v, &v->lights[i], arriving);
     }
 }
 
