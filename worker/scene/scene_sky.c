@@ -16,6 +16,10 @@ enum { CELLS_ACROSS_MIN = 128, CELLS_ACROSS_MAX = 2048, CELLS_ACROSS_PATTERN = 2
  * table looked is found. */
 static const double SKY_FLOOR = 0.001;
 
+/* A sky of less light than that in the mean is drawn as a black one, each direction alike: no film
+ * shows it, and where its numbers are denormal their ratios are not known. */
+static const double SKY_MEAN_MIN = 1e-200;
+
 /* So much of the cosine's own density is left to the surface's directions, where both kinds are
  * drawn: the two together, several of the sky and one of the surface, then have the density of what
  * a diffuse surface reflects. Behind the first vertex of a path, where there is one of each, half
@@ -111,14 +115,15 @@ static void cumulate_cells(struct sky_map *m, double *along)
         sines += sine * m->width;
         sum += sine * row;
     }
-    m->mean = sum / sines;
-    double least = sum > 0 ? SKY_FLOOR * m->mean : 1;
+    bool dark = !(sum / sines > SKY_MEAN_MIN);
+    m->mean = dark ? 0 : sum / sines;
+    double least = dark ? 1 : SKY_FLOOR * m->mean;
     for (uint32_t y = 0; y < m->height; y++) {
         double *cells = along + y * stride, running = 0;
         double scale = dmath_sinpi((y + 0.5) / m->height) / sines;
         cells[0] = 0;
         for (uint32_t x = 1; x <= m->width; x++)
-            cells[x] = running += (cells[x] + least) * scale;
+            cells[x] = running += ((dark ? 0 : cells[x]) + least) * scale;
     }
 }
 
