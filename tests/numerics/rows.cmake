@@ -53,6 +53,12 @@ numerics_program(test_regressions LINKS tl_worker Threads::Threads
        test_pbrt3_182_coincident_centroids test_pbrt3_236_no_structure_in_high_dimensions
        test_povray_469_no_farthest_distance test_moonray_251_degenerate_light_faces
        test_blender_43835_decals_far_out test_fixed_stacks)
+numerics_program(test_regressions_light LINKS tl_worker Threads::Threads
+  SOURCES ${numerics_dir}/test_regressions_light.c ${numerics_kit} ${numerics_scenes}
+  ROWS test_mitsuba3_219_lens_far_from_the_origin
+       test_mitsuba3_1871_surfaces_closer_than_an_epsilon
+       test_mitsuba2_206_what_enters_a_cube_leaves_it test_mitsuba3_512_no_rings_from_far_away
+       test_tinybvh_283_small_triangles test_mitsuba2_82_many_samples_do_not_drift)
 numerics_program(test_beyond LINKS tl_worker
   SOURCES ${numerics_dir}/test_beyond.c ${numerics_dir}/closed_mesh.c ${numerics_scenes}
           ${PROJECT_SOURCE_DIR}/scenes/gen_mesh.c
@@ -90,6 +96,12 @@ if(TARGET tilery AND TARGET tilery-master AND TARGET tilery-worker)
   tilery_script_test(numerics_input LABEL numerics TIMEOUT 600
     COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider -k "not test_t10"
             ${numerics_dir}/test_numerics_input.py)
+  tilery_script_test(numerics_everywhere LABEL numerics TIMEOUT 1500
+    COMMAND /usr/bin/python3 -m pytest -q -p no:cacheprovider
+            ${numerics_dir}/test_numerics_everywhere.py)
+  if(TILERY_TESTS)
+    set_tests_properties(numerics_everywhere PROPERTIES LABELS "numerics;e2e")
+  endif()
   numerics_pytest(test_numerics_farm.py test_t01_scale_by_the_farm test_t02_radiance_by_the_farm
     test_t02_half_is_clamped_and_said test_t03_powers_of_ten test_t04_translated_by_the_farm
     test_t04_dyadic_by_the_farm test_t22_last_pixels_by_the_farm)

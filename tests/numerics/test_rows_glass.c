@@ -4,32 +4,9 @@
 #include <math.h>
 
 #include "common/mem.h"
+#include "tests/numerics/light_step.h"
 #include "tests/render/render_kit.h"
-#include "worker/render/shade.h"
 #include "worker/scene/scene_build.h"
-
-/* One surface on: false when nothing is hit or nothing goes on. The direction is made unit as the
- * integrators make it. */
-static bool go_on(const struct render_scene *rs, vec3 *org, vec3 *dir, uint32_t *object)
-{
-    struct ray ray = {.tmax = VEC_INFINITY};
-    struct hit hit;
-    struct shade at;
-    struct bsdf_sample sample;
-    static const double u[3] = {0, 0, 0.999999};
-    v3_put(ray.org, *org);
-    v3_put(ray.dir, *dir);
-    accel_closest(rs->accel, &ray, &hit);
-    if (hit.object == SCENE_NONE)
-        return false;
-    *object = hit.object;
-    shade_of_hit(rs, &hit, *dir, NULL, &at);
-    if (!bsdf_sample(&at.bsdf, at.wo, u, &sample))
-        return false;
-    *dir = v3_unit(frame_to_world(&at.frame, sample.wi));
-    *org = surface_offset(at.surface.p, at.surface.ng, at.surface.error, *dir);
-    return true;
-}
 
 static struct render_scene *build(struct scene *s)
 {
@@ -55,8 +32,8 @@ static void slab_ray(const struct render_scene *rs, double eta, double degrees, 
     vec3 d = v3_unit(v3(sine, 0, -cosine)), dir = d;
     vec3 from = v3_mad(v3(0, 0, 0.5 * rs->scale), d, -0.5 * rs->scale / cosine), org = from;
     uint32_t object;
-    assert_true(go_on(rs, &org, &dir, &object) && object == 0);
-    assert_true(go_on(rs, &org, &dir, &object) && object == 1);
+    assert_true(light_step(rs, &org, &dir, &object) && object == 0);
+    assert_true(light_step(rs, &org, &dir, &object) && object == 1);
     *direction = v3_abs_max(v3_sub(dir, d));
     /* The distance of the two lines. */
     double aside = v3_length(v3_cross(v3_sub(org, from), d)) / rs->scale;
@@ -170,7 +147,7 @@ static void test_t17_nested_dielectrics(void **state)
         vec3 org = v3(miss * rs->scale, 0, 4), dir = v3(0, 0, -1);
         uint32_t object = 0, inside = 0;
         for (int i = 0; i < 2 * SHELLS; i++) {
-            assert_true(go_on(rs, &org, &dir, &object));
+            assert_true(light_step(rs, &org, &dir, &object));
             /* In order: shell i on the way in, and out of the same ones in reverse. */
             assert_int_equal(object, i < SHELLS ? i : 2 * SHELLS - 1 - i);
             inside += i < SHELLS ? 1 : -1u;
@@ -218,7 +195,7 @@ static void test_t17_shared_faces(void **state)
     uint32_t object;
     double worst = 0;
     for (int i = 0; i < PLANES; i++) {
-        assert_true(go_on(rs, &org, &dir, &object));
+        assert_true(light_step(rs, &org, &dir, &object));
         assert_int_equal(object, i);
         double n = i % 2 ? 1.33 : 1.5;
         worst = fmax(worst, fabs(n * dir.x - d.x));
