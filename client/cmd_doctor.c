@@ -57,9 +57,9 @@ static void put_text(const struct doctor *d, const char *scene, struct buf *out)
             buf_printf(out, "  and %llu more of this kind\n", (unsigned long long)f->more);
     }
     human_count((double)d->triangles, triangles);
-    buf_printf(out, "%s: %zu finding%s in %llu mesh%s, %s triangles\n", cli_safe(scene), d->count,
+    buf_printf(out, "%s: %zu finding%s in %llu mesh%s, %s triangle%s\n", cli_safe(scene), d->count,
                d->count == 1 ? "" : "s", (unsigned long long)d->meshes, d->meshes == 1 ? "" : "es",
-               triangles);
+               triangles, d->triangles == 1 ? "" : "s");
 }
 
 static int examine(const struct cli *cli, const struct load *load)

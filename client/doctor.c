@@ -90,6 +90,11 @@ static void place(const struct doctor_visit *v, struct doctor_finding *f, uint32
 
 /* --- One mesh ----------------------------------------------------------------- */
 
+static const char *have(uint64_t count)
+{
+    return count == 1 ? "has" : "have";
+}
+
 /* What is the same wherever the mesh stands; reported at the first object that shows it. */
 static void judge_shape(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
 {
@@ -106,42 +111,34 @@ static void judge_shape(struct doctor_visit *v, uint32_t object, const struct do
               doctor_add(v, "flat-triangles", m->flat.count,
                          "they are never hit and cost little; a cleaning step of the modeller "
                          "(merge by distance, dissolve degenerate) removes them",
-                         "%llu of %u triangles have no area", (unsigned long long)m->flat.count,
-                         all),
+                         "%llu of %u triangles %s no area", (unsigned long long)m->flat.count, all,
+                         have(m->flat.count)),
               object, m->flat.first);
     if (m->needles.count)
         place(v,
               doctor_add(v, "needle-triangles", m->needles.count,
                          "hits stay exact, but shading normals across such a triangle mean "
                          "little and trees are slower; remesh or triangulate by shape",
-                         "%llu of %u triangles are over %.0f times longer than high, the worst "
+                         "%llu of %u triangles %s over %.0f times longer than high, the worst "
                          "%.3g times",
-                         (unsigned long long)m->needles.count, all, DOCTOR_NEEDLE_ASPECT,
-                         m->aspect_max),
+                         (unsigned long long)m->needles.count, all,
+                         m->needles.count == 1 ? "is" : "are", DOCTOR_NEEDLE_ASPECT, m->aspect_max),
               object, m->needles.first);
     if (m->duplicates.count)
         place(v,
               doctor_add(v, "duplicate-triangles", m->duplicates.count,
                          "the one with the lowest number is seen; glass counts each of them, so "
                          "remove the doubles",
-                         "%llu of %u triangles have the very corners of another",
-                         (unsigned long long)m->duplicates.count, all),
+                         "%llu of %u triangles %s the very corners of another",
+                         (unsigned long long)m->duplicates.count, all, have(m->duplicates.count)),
               object, m->duplicates.first);
-    if (m->turned.count)
-        place(v,
-              doctor_add(v, "mixed-winding", m->turned.count,
-                         "one-sided materials are black and lamps dark on one of the two; "
-                         "recalculate the normals, or set \"twosided\"",
-                         "along %llu edges two triangles face opposite ways",
-                         (unsigned long long)m->turned.count),
-              object, m->turned.first);
     if (m->against.count)
         place(v,
               doctor_add(v, "normals-disagree", m->against.count,
                          "shading jumps there: recalculate the vertex normals, or split them at "
                          "sharp edges",
-                         "%llu of %u triangles have vertex normals on both of their sides",
-                         (unsigned long long)m->against.count, all),
+                         "%llu of %u triangles %s vertex normals on both sides",
+                         (unsigned long long)m->against.count, all, have(m->against.count)),
               object, m->against.first);
 }
 
@@ -262,45 +259,86 @@ static bool holds_camera(const struct scene *s, const double low[3], const doubl
     return inside;
 }
 
-/* What sides mean to the object's material. */
-static void judge_sides(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+/* What an object's sides mean to its material. */
+enum sides { SIDES_ALIKE, SIDES_BLACK, SIDES_LAMP, SIDES_GLASS };
+
+static enum sides sides_of(const struct scene *s, const struct scene_object *o)
 {
+    const struct scene_material *m = o->material == SCENE_NONE ? NULL : &s->materials[o->material];
+    if (m && is_glass(m))
+        return SIDES_GLASS;
+    if (o->emits)
+        return SIDES_LAMP;
+    bool one_sided =
+        m && !m->twosided &&
+        (m->type == SCENE_MATERIAL_DIFFUSE || m->type == SCENE_MATERIAL_ROUGH_CONDUCTOR);
+    return one_sided ? SIDES_BLACK : SIDES_ALIKE;
+}
+
+static void judge_closed(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
+{
+    const struct scene_object *o = &v->scene->objects[object];
+    if (m->closed)
+        return;
+    place(v,
+          doctor_add(v, "open-glass", m->open_edges.count,
+                     "light that enters never leaves as it should: close the mesh, give it "
+                     "thickness, or use eta 1",
+                     "%.60s is a medium with an inside, but %llu edge%s of the mesh %s open",
+                     v->scene->materials[o->material].name, (unsigned long long)m->open_edges.count,
+                     m->open_edges.count == 1 ? "" : "s", m->open_edges.count == 1 ? "is" : "are"),
+          object, m->open_edges.count ? m->open_edges.first : m->fans.first);
+}
+
+static void judge_winding(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m,
+                          enum sides sides)
+{
+    static const char *const advice[] = {
+        [SIDES_BLACK] = "one of the two is black where the other is seen; recalculate the normals, "
+                        "or use a material with \"twosided\"",
+        [SIDES_LAMP] = "one of the two is dark where the other shines; recalculate the normals",
+        [SIDES_GLASS] = "at one of the two light leaves where it should enter; recalculate the "
+                        "normals"};
+    if (m->turned.count && advice[sides])
+        place(v,
+              doctor_add(v, "mixed-winding", m->turned.count, advice[sides],
+                         "along %llu edge%s two triangles face opposite ways",
+                         (unsigned long long)m->turned.count, m->turned.count == 1 ? "" : "s"),
+              object, m->turned.first);
+}
+
+static void judge_inside(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m,
+                         enum sides sides)
+{
+    static const char *const advice[] = {
+        [SIDES_BLACK] = "it is black from outside: flip the normals, or use a material with "
+                        "\"twosided\"",
+        [SIDES_LAMP] = "it lights its inside only: flip the normals",
+        [SIDES_GLASS] = "glass and air change places: flip the normals"};
     const struct scene *s = v->scene;
     const struct scene_object *o = &s->objects[object];
-    const struct scene_material *material =
-        o->material == SCENE_NONE ? NULL : &s->materials[o->material];
-    bool glass = material && is_glass(material), mirrors;
-    if (glass && !m->closed)
-        place(v,
-              doctor_add(v, "open-glass", m->open_edges.count,
-                         "light that enters never leaves as it should: close the mesh, give it "
-                         "thickness, or use eta 1",
-                         "%.60s is a medium with an inside, but %llu edges of the mesh are open",
-                         material->name, (unsigned long long)m->open_edges.count),
-              object, m->open_edges.count ? m->open_edges.first : m->fans.first);
     double low[3], high[3];
+    bool mirrors;
     (void)size_of(o, &mirrors);
     world_box(o, m, low, high);
     /* Where there are vertex normals the winding follows them, mirrored or not. */
     bool inward = (m->volume_signed < 0) != (mirrors && !s->meshes[o->mesh].normals);
-    bool matters = glass || o->emits ||
-                   (material && material->type == SCENE_MATERIAL_DIFFUSE && !material->twosided &&
-                    !holds_camera(s, low, high));
-    if (m->closed && !m->turned.count && !m->fans.count && inward && matters)
+    bool room = sides == SIDES_BLACK && holds_camera(s, low, high);
+    if (m->closed && !m->turned.count && !m->fans.count && inward && advice[sides] && !room)
         place(v,
-              doctor_add(v, "inside-out", s->meshes[o->mesh].triangle_count,
-                         glass ? "glass and air change places: flip the normals"
-                         : o->emits
-                             ? "it lights its inside only: flip the normals"
-                             : "it is black from outside: flip the normals, or set \"twosided\"",
+              doctor_add(v, "inside-out", s->meshes[o->mesh].triangle_count, advice[sides],
                          "the mesh is closed and all its normals point inward"),
               object, SCENE_NONE);
 }
 
 static void judge_object(struct doctor_visit *v, uint32_t object, const struct doctor_mesh *m)
 {
+    enum sides sides = sides_of(v->scene, &v->scene->objects[object]);
     judge_place(v, object, m);
-    judge_sides(v, object, m);
+    if (sides == SIDES_GLASS)
+        judge_closed(v, object, m);
+    judge_winding(v, object, m, sides);
+    judge_inside(v, object, m, sides);
 }
 
 /* --- All ------------------------------------------------------------------------- */

@@ -224,8 +224,8 @@ static enum err judge_places(struct doctor_visit *v)
  * here too, with its object. */
 static bool is_other_matter(const char *id)
 {
-    static const char *const others[] = {"camera-added", "integrator-replaced", "no-effect",
-                                         "light-scaled", "far-from-origin"};
+    static const char *const others[] = {"camera-added", "sky-added",    "integrator-replaced",
+                                         "no-effect",    "light-scaled", "far-from-origin"};
     for (size_t i = 0; i < sizeof others / sizeof *others; i++)
         if (strcmp(id, others[i]) == 0)
             return true;
@@ -252,7 +252,10 @@ static void take_loaded(struct doctor_visit *v, const struct diag_list *loaded)
         struct doctor_finding *f = doctor_add(v, d->id, 1, d->hint ? d->hint : "", "%s", d->text);
         if (!f)
             return;
-        (void)snprintf(f->where, sizeof f->where, "%s%s%s", d->file ? d->file : "",
+        char line[24] = "";
+        if (d->line)
+            (void)snprintf(line, sizeof line, ":%llu", (unsigned long long)d->line);
+        (void)snprintf(f->where, sizeof f->where, "%s%s%s%s", d->file ? d->file : "", line,
                        d->file && d->path ? ": " : "", d->path ? d->path : "");
         f->count = leading_count(d->text);
     }

@@ -188,8 +188,17 @@ def test_sides(tmp_path):
     lines = cube().splitlines()
     a, b, c = lines[-1].split()[1:]
     lines[-1] = f"f {a} {c} {b}"
-    found = examine(tmp_path, "\n".join(lines) + "\n")
+    mixed = "\n".join(lines) + "\n"
+    found = examine(tmp_path, mixed, material=one_sided)
     assert found.keys() == {"mixed-winding"} and found["mixed-winding"]["count"] == 3
+    assert "twosided" in found["mixed-winding"]["advice"]
+    found = examine(tmp_path, mixed, material=glass)
+    assert found.keys() == {"mixed-winding"} and "leaves" in found["mixed-winding"]["advice"]
+    metal = {"type": "roughconductor", "R": 1}
+    assert examine(tmp_path, mixed, material=metal).keys() == {"mixed-winding"}
+    assert examine(tmp_path, cube(flip=True), material=metal).keys() == {"inside-out"}
+    # A material whose sides are alike does not mind.
+    assert examine(tmp_path, mixed) == {} and examine(tmp_path, cube(flip=True)) == {}
 
 
 def test_mirrored_copy(tmp_path):
@@ -238,6 +247,20 @@ def test_textures(tmp_path):
                     environment_map={"texture_name": "t"})
     assert found["not-finite"]["count"] == 4 and "bad.exr" in found["not-finite"]["where"] + \
         found["not-finite"]["text"]
+
+
+def test_models(tmp_path):
+    """Models of other programs: a good one has no finding, not even that it has no light; what
+    reading left out is placed by file and line; one of a kind is not called many."""
+    (tmp_path / "good.obj").write_text(cube())
+    done = tilery("doctor", tmp_path / "good.obj")
+    assert done.returncode == 0 and "0 findings in 1 mesh, 12 triangles" in done.stdout, done.stdout
+    (tmp_path / "odd.obj").write_text(cube(leave_out=11) + "f 1 2\nf 1 1 2\n")
+    done = tilery("doctor", tmp_path / "odd.obj")
+    assert "odd.obj:10: " in done.stdout and "[degenerate-face]" in done.stdout
+    assert "1 of 2 triangles has no area" in done.stdout
+    (tmp_path / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert "in 1 mesh, 1 triangle\n" in tilery("doctor", tmp_path / "one.obj").stdout
 
 
 def test_bad_scene(tmp_path):
