@@ -4,7 +4,8 @@ doubles, denormals, -0, 0, -1, 2^33, the neighbours of 2^16 and the ends of its 
 the JSON path, exit 2 with the option) or a picture of finite pixels, none negative but by the
 Mitchell filter, within seconds. docs/NUMERICS.md says what each means.
 
-TILERY_LONG=1 also fills whole lists with the value, and gives colours as one number.
+TILERY_LONG=1 also fills whole lists with the value, and gives colours as one number. A sanitizer,
+under which each of these many processes is slow, gets every third value of a place, in turn.
 """
 import concurrent.futures
 import json
@@ -128,7 +129,7 @@ SCENES |= {
         "light": {"type": "area", "radiance": [4, 4, 4]}}]}),
     "lights": scene(PATH, {}, **{**show(GREY, BUMPS), "lights": [
         {"type": "point", "position": [0, 2, 2], "intensity": [5, 5, 5]},
-        {"type": "spot", "position": [0, 2, 2], "look_at": [0, 0, 0], "intensity": [5, 5, 5],
+        {"type": "spot", "position": [0, 2, 2], "look_at": [0, 0.1, 0.1], "intensity": [5, 5, 5],
          "outer_angle": 40},
         {"type": "spot", "position": [0, 2, 2], "direction": [0, -1, -1], "intensity": [5, 5, 5],
          "outer_angle": 180, "inner_angle": 20},
@@ -348,6 +349,8 @@ def judge(folder, form, number, path, value, status):
 @pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c[0]}: {c[1].strip('.')}")
 def test_scene(tmp_path, case):
     scene_name, number, path, values = case
+    if SLOW > 1 and not LONG:
+        values = dict(list(values.items())[CASES.index(case) % 3::3])
     exr_pixels.write(tmp_path / "bumps.exr",
                      numpy.random.default_rng(1).random((8, 8, 3), dtype="f4"))
     (tmp_path / "cases").mkdir()
