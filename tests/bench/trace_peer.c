@@ -84,7 +84,7 @@ static bool count_bytes(void *ctx, ssize_t bytes, bool post)
     return true;
 }
 
-struct trace_peer *trace_peer_new(const char *library, uint32_t threads)
+static struct trace_peer *peer_of(const char *library, const char *config)
 {
     struct trace_peer *p = mem_calloc(1, sizeof *p);
     if (!p)
@@ -92,8 +92,6 @@ struct trace_peer *trace_peer_new(const char *library, uint32_t threads)
 #define CALL_LINK(name) p->call.name = name;
     CALLS(CALL_LINK)
 #undef CALL_LINK
-    char config[64];
-    snprintf(config, sizeof config, "threads=%u,set_affinity=0", threads);
     if (!library || calls_load(p, library))
         p->device = p->call.rtcNewDevice(config);
     if (!p->device) {
@@ -102,6 +100,20 @@ struct trace_peer *trace_peer_new(const char *library, uint32_t threads)
     }
     p->call.rtcSetDeviceMemoryMonitorFunction(p->device, count_bytes, p);
     return p;
+}
+
+struct trace_peer *trace_peer_new(const char *library, uint32_t threads)
+{
+    char config[64];
+    snprintf(config, sizeof config, "threads=%u,set_affinity=0", threads);
+    return peer_of(library, config);
+}
+
+struct trace_peer *trace_peer_new_isa(const char *isa)
+{
+    char config[64];
+    snprintf(config, sizeof config, "threads=1,set_affinity=0,isa=%s", isa);
+    return peer_of(NULL, config);
 }
 
 static void drop_scenes(struct trace_peer *p)

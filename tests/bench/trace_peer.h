@@ -19,6 +19,8 @@ struct trace_peer_hit {
 
 /* `library` NULL: the linked Embree 3, else the path of Embree 4's. NULL if it cannot be had. */
 struct trace_peer *trace_peer_new(const char *library, uint32_t threads);
+/* The linked Embree 3 of one thread, held to an instruction set: "sse2", "avx2", "avx512". */
+struct trace_peer *trace_peer_new_isa(const char *isa);
 void trace_peer_free(struct trace_peer *p);
 
 /* Builds, replacing what was built. */

@@ -71,7 +71,11 @@ numerics_program(test_beyond LINKS tl_worker
 # What other methods make of the rows; plot.py draws it.
 if(TARGET trace_peer)
   tilery_program(numerics_figures LINKS trace_peer tl_worker
-    SOURCES ${numerics_dir}/numerics_figures.c ${numerics_dir}/closed_mesh.c ${numerics_scenes})
+    SOURCES ${numerics_dir}/numerics_figures.c ${numerics_dir}/figure_rows.c
+      ${numerics_dir}/figure_methods.c ${numerics_dir}/figure_fma.c ${numerics_dir}/closed_mesh.c
+      ${numerics_scenes})
+  set_source_files_properties(${numerics_dir}/figure_fma.c PROPERTIES
+    COMPILE_OPTIONS "-mfma;-ffp-contract=fast")
 endif()
 
 # Rows through the programs: numerics_pytest(FILE ROW...) runs the functions whose names begin so.
