@@ -232,6 +232,8 @@ static void ask_chunk(struct farm *f, struct worker *w, const tilery_ChunkReques
         end = &(*end)->next;
     *end = wait;
     serve_chunks(f, w);
+    struct sched_event event = {.type = SCHED_WORKER_ASKS, .worker = w->id};
+    farm_feed(f, &event);
 }
 
 static void drop_chunk_waits(struct worker *w)

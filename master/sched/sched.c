@@ -140,6 +140,7 @@ bool sched_feed(struct sched *s, uint64_t now_ms, const struct sched_event *e)
     case SCHED_WORKER_RTT:
     case SCHED_WORKER_TAGS:
     case SCHED_JOB_READY:
+    case SCHED_WORKER_ASKS:
     case SCHED_JOB_UNFIT:
     case SCHED_UNIT_FAILED:
         return workers_feed(s, e);

@@ -42,7 +42,8 @@
  *   6. A worker is given no lease beyond its allowance (it may bring more along), and none while
  *      it is away; `begun` are at most its threads, and a lease has a deadline exactly while it is
  *      begun (its worker has reported the job ready). The deadline goes on while the worker is
- *      away and after it is back: coming back again and again gains nothing.
+ *      away and after it is back: coming back again and again gains nothing. While its worker asks
+ *      for chunks a lease has as long, from when it was begun, as a scene has to load.
  *   7. No lease is held by a worker that is lost, set aside or quarantined.
  *   8. A worker that renders a suspect alone holds that one lease only.
  *   9. Copies of a unit are on different workers; a check never asks a worker that has voted.
@@ -150,7 +151,8 @@ enum sched_event_type {
     SCHED_WORKER_RTT,   /* .rtt_us, measured */
     SCHED_WORKER_TAGS,  /* .tags: other bits; it keeps those that jobs known here ask for */
 
-    SCHED_JOB_READY,   /* worker has built the scene of .job */
+    SCHED_JOB_READY,   /* worker has built the scene of .job, or got what it asked for meanwhile */
+    SCHED_WORKER_ASKS, /* worker has asked for a chunk: perhaps what begun units lack */
     SCHED_JOB_UNFIT,   /* worker cannot render .job here (JobFailed) */
     SCHED_RESULT,      /* .result; checked by the caller: body decoded, right size, finite */
     SCHED_UNIT_FAILED, /* .epoch: worker could not render that unit */

@@ -319,6 +319,8 @@ void lease_end(struct sched *s, uint32_t lease, enum lease_end how, bool blame);
 void lease_release_unit(struct sched *s, uint32_t lease);
 void lease_begin(struct sched *s, uint32_t lease);
 void lease_timer_fired(struct sched *s, uint32_t lease);
+void worker_leases_wait(struct sched *s, uint32_t worker);
+void worker_leases_go_on(struct sched *s, uint32_t worker, uint64_t job);
 void lease_spot_lost(struct sched *s, uint32_t owner);
 void suspect_free(struct sched *s, uint32_t suspect);
 /* Where a pending suspect stands. */

@@ -361,6 +361,24 @@ void lease_spot_lost(struct sched *s, uint32_t owner)
         lease_release_unit(s, owner);
 }
 
+/* How long a begun lease may take. */
+static uint64_t lease_patience_ms(const struct sched *s, const struct lease *l)
+{
+    /* Nothing is known of its cost before the first result: then be patient. */
+    uint64_t ms = s->limits.load_ms;
+    if (l->expected_ms > 0) {
+        ms = (uint64_t)l->expected_ms * s->limits.lease_factor;
+        if (ms < s->limits.lease_ms_min)
+            ms = s->limits.lease_ms_min;
+    }
+    /* More patience with a unit that was late before, and with a worker that was. */
+    const struct worker_job *wj = worker_job_find(&s->workers[l->worker], s->jobs[l->job].id);
+    uint32_t doublings = wj->late < LATE_DOUBLINGS_MAX ? wj->late : LATE_DOUBLINGS_MAX;
+    if (l->suspect != SLOT_NONE)
+        doublings += s->suspects[l->suspect].losses;
+    return ms << (doublings < PATIENCE_DOUBLINGS_MAX ? doublings : PATIENCE_DOUBLINGS_MAX);
+}
+
 /* A worker has a free thread and the scene: from now on the lease has a deadline. */
 void lease_begin(struct sched *s, uint32_t lease)
 {
@@ -373,22 +391,31 @@ void lease_begin(struct sched *s, uint32_t lease)
     l->begun_ms = s->now_ms;
     s->jobs[l->job].begun++;
 
-    /* Nothing is known of its cost before the first result: then be patient. */
     if (l->expected_ms == 0)
         l->expected_ms = unit_expected_ms(s, w, &s->jobs[l->job], l->unit);
-    uint64_t ms = s->limits.load_ms;
-    if (l->expected_ms > 0) {
-        ms = (uint64_t)l->expected_ms * s->limits.lease_factor;
-        if (ms < s->limits.lease_ms_min)
-            ms = s->limits.lease_ms_min;
+    timers_set(&s->timers, lease, s->now_ms + lease_patience_ms(s, l));
+}
+
+/* What begun units of the worker lack is on its way: it may take as long as a scene. */
+void worker_leases_wait(struct sched *s, uint32_t worker)
+{
+    const struct worker *w = &s->workers[worker];
+    for (uint32_t l = w->begun.head; l != SLOT_NONE; l = s->lease_worker_links[l].next) {
+        uint64_t due_ms = s->leases[l].begun_ms + s->limits.load_ms;
+        if (due_ms > s->timers.due_ms[l])
+            timers_set(&s->timers, l, due_ms);
     }
-    /* More patience with a unit that was late before, and with a worker that was. */
-    const struct worker_job *wj = worker_job_find(w, s->jobs[l->job].id);
-    uint32_t doublings = wj->late < LATE_DOUBLINGS_MAX ? wj->late : LATE_DOUBLINGS_MAX;
-    if (l->suspect != SLOT_NONE)
-        doublings += s->suspects[l->suspect].losses;
-    ms <<= doublings < PATIENCE_DOUBLINGS_MAX ? doublings : PATIENCE_DOUBLINGS_MAX;
-    timers_set(&s->timers, lease, s->now_ms + ms);
+}
+
+/* It is there: from now on the job's units have their usual time. */
+void worker_leases_go_on(struct sched *s, uint32_t worker, uint64_t job)
+{
+    const struct worker *w = &s->workers[worker];
+    for (uint32_t l = w->begun.head; l != SLOT_NONE; l = s->lease_worker_links[l].next) {
+        uint64_t due_ms = s->now_ms + lease_patience_ms(s, &s->leases[l]);
+        if (s->jobs[s->leases[l].job].id == job && due_ms < s->timers.due_ms[l])
+            timers_set(&s->timers, l, due_ms);
+    }
 }
 
 void lease_timer_fired(struct sched *s, uint32_t lease)

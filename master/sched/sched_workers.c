@@ -495,8 +495,11 @@ static bool worker_ready(struct sched *s, uint32_t worker, uint64_t job)
 {
     struct worker *w = &s->workers[worker];
     struct worker_job *wj = job ? worker_job_find(w, job) : NULL;
-    if (!wj || !wj->open || wj->ready)
+    if (!wj || !wj->open)
         return false;
+    worker_leases_go_on(s, worker, job);
+    if (wj->ready)
+        return true;
     wj->ready = true;
     wj->unfit = 0;
     uint32_t slot = slotmap_find(&s->job_map, job);
@@ -566,6 +569,9 @@ bool workers_feed(struct sched *s, const struct sched_event *e)
         return worker_retag(s, &s->workers[worker], e->tags);
     case SCHED_JOB_READY:
         return worker_ready(s, worker, e->job);
+    case SCHED_WORKER_ASKS:
+        worker_leases_wait(s, worker);
+        return true;
     case SCHED_JOB_UNFIT:
         return worker_unfit(s, worker, e->job);
     case SCHED_UNIT_FAILED:

@@ -385,7 +385,7 @@ static void test_leases_have_no_deadline_before_ready(void **state)
     rig_wait(&rig, 540000);
     assert_int_equal(rig_held(&rig, 1), 4);
     assert_true(rig_ready(&rig, 1, 1));
-    assert_false(rig_ready(&rig, 1, 1));
+    assert_true(rig_ready(&rig, 1, 1)); /* it may say so again */
     assert_int_equal(rig_winfo(&rig, 1).state, SCHED_WORKER_BUSY);
     struct rig_lease l = rig_lease_of(&rig, 1, 0);
     assert_true(rig_result(&rig, &l, 1000, 0));
@@ -499,9 +499,69 @@ static void test_every_allocation_may_fail(void **state)
     }
 }
 
+/* --- Time ----------------------------------------------------------------------------- */
+
+/* A worker with one thread and a job of which it is known what a unit costs. */
+static void begin_known(void)
+{
+    assert_true(rig_add(&rig, 1, 64, 2));
+    assert_true(rig_join(&rig, 1, 1));
+    for (int i = 0; i < 3; i++) {
+        struct rig_lease l = rig_lease_of(&rig, 1, 0);
+        assert_true(rig_result(&rig, &l, 1000, 0));
+    }
+}
+
+static void test_a_begun_lease_has_its_time(void **state)
+{
+    (void)state;
+    begin_known();
+    rig_wait(&rig, 19000);
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 0);
+    rig_wait(&rig, 2000);
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 1);
+}
+
+/* What a begun unit lacks may take as long to come as a scene, but no longer. */
+static void test_a_worker_that_asks_for_chunks_has_time(void **state)
+{
+    (void)state;
+    begin_known();
+    struct rig_lease held = rig_lease_of(&rig, 1, 0);
+    for (int i = 0; i < 3; i++) {
+        rig_wait(&rig, 15000);
+        assert_true(rig_worker(&rig, SCHED_WORKER_ASKS, 1));
+    }
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 0);
+    assert_int_equal(rig_lease_of(&rig, 1, 0).epoch, held.epoch);
+    /* All has come: the usual time, and not a second more. */
+    assert_true(rig_ready(&rig, 1, 1));
+    rig_wait(&rig, 19000);
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 0);
+    rig_wait(&rig, 2000);
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 1);
+}
+
+static void test_asking_for_ever_gains_nothing(void **state)
+{
+    (void)state;
+    begin_known();
+    for (int i = 0; i < 59; i++) {
+        assert_true(rig_worker(&rig, SCHED_WORKER_ASKS, 1));
+        rig_wait(&rig, 10000);
+    }
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 0);
+    assert_true(rig_worker(&rig, SCHED_WORKER_ASKS, 1));
+    rig_wait(&rig, 11000);
+    assert_int_equal(rig_winfo(&rig, 1).timeouts, 1);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        RIG_TEST(test_a_begun_lease_has_its_time),
+        RIG_TEST(test_a_worker_that_asks_for_chunks_has_time),
+        RIG_TEST(test_asking_for_ever_gains_nothing),
         RIG_TEST(test_one_worker_renders_every_spot_once),
         RIG_TEST(test_blocks_come_in_order_within_the_window),
         RIG_TEST(test_first_units_are_small_then_last_a_second),
