@@ -102,6 +102,11 @@ struct package_index {
 TL_NODISCARD enum err package_root_read(const void *root, size_t bytes, struct package_index *out);
 void package_index_release(struct package_index *index);
 
+/* The same, and the scene's tables: its meshes have names only, its images nothing. You release
+ * both; untouched on failure. */
+TL_NODISCARD enum err package_tables_read(const void *root, size_t bytes, struct scene *tables,
+                                          struct package_index *index);
+
 /* Gives the plain bytes of entry `i` of the index, which stay valid until the next call or the
  * end of package_read. Their digest has been checked by whoever stored or decompressed them. */
 typedef enum err package_fetch(void *ctx, size_t i, const struct package_index_entry *entry,
@@ -125,9 +130,11 @@ TL_NODISCARD enum err package_part_get(enum package_kind kind, const void *data,
 void package_part_release(struct package_part *part);
 
 /* package_read with a part for each entry of the index: those that are there are taken from it and
- * not fetched; you release what is left. */
+ * not fetched; you release what is left. Entries i with late[i] (pictures: package_late.h) are not
+ * fetched, and their images stay empty; NULL: all are. */
 TL_NODISCARD enum err package_read_parts(const void *root, size_t bytes, struct package_part *parts,
-                                         package_fetch *fetch, void *ctx, struct scene *out);
+                                         const bool *late, package_fetch *fetch, void *ctx,
+                                         struct scene *out);
 
 /* One zstd frame of a chunk (level 1, with checksum and content size), appended to `out`. */
 TL_NODISCARD enum err chunk_compress(const void *data, size_t bytes, struct buf *out);

@@ -74,18 +74,29 @@ static enum err get_root(const void *root, size_t bytes, struct scene *s,
     return scene_tables_valid(s) ? ERR_OK : ERR_CORRUPT;
 }
 
+enum err package_tables_read(const void *root, size_t bytes, struct scene *tables,
+                             struct package_index *index)
+{
+    struct scene s;
+    struct package_index list = {0};
+    scene_init(&s);
+    enum err e = get_root(root, bytes, &s, &list);
+    if (e != ERR_OK) {
+        scene_release(&s);
+        package_index_release(&list);
+        return e;
+    }
+    *tables = s;
+    *index = list;
+    return ERR_OK;
+}
+
 enum err package_root_read(const void *root, size_t bytes, struct package_index *out)
 {
     struct scene s;
-    struct package_index index = {0};
-    scene_init(&s);
-    enum err e = get_root(root, bytes, &s, &index);
+    TL_TRY(package_tables_read(root, bytes, &s, out));
     scene_release(&s);
-    if (e == ERR_OK)
-        *out = index;
-    else
-        package_index_release(&index);
-    return e;
+    return ERR_OK;
 }
 
 /* --- The whole scene ----------------------------------------------------- */
@@ -127,9 +138,12 @@ static void take_part(struct scene *s, size_t i, struct package_part *part)
 }
 
 static enum err get_chunks(struct scene *s, const struct package_index *index,
-                           struct package_part *parts, package_fetch *fetch, void *ctx)
+                           struct package_part *parts, const bool *late, package_fetch *fetch,
+                           void *ctx)
 {
     for (size_t i = 0; i < index->count; i++) {
+        if (late && late[i])
+            continue;
         if (parts && parts[i].there) {
             take_part(s, i, &parts[i]);
             continue;
@@ -141,24 +155,24 @@ static enum err get_chunks(struct scene *s, const struct package_index *index,
             return ERR_CORRUPT;
         TL_TRY(get_chunk(s, i, data, bytes));
     }
-    return scene_valid(s) ? ERR_OK : ERR_CORRUPT;
+    return scene_valid_without(s, late ? late + s->mesh_count : NULL) ? ERR_OK : ERR_CORRUPT;
 }
 
 enum err package_read(const void *root, size_t bytes, package_fetch *fetch, void *ctx,
                       struct scene *out)
 {
-    return package_read_parts(root, bytes, NULL, fetch, ctx, out);
+    return package_read_parts(root, bytes, NULL, NULL, fetch, ctx, out);
 }
 
 enum err package_read_parts(const void *root, size_t bytes, struct package_part *parts,
-                            package_fetch *fetch, void *ctx, struct scene *out)
+                            const bool *late, package_fetch *fetch, void *ctx, struct scene *out)
 {
     struct scene s;
     struct package_index index = {0};
     scene_init(&s);
     enum err e = get_root(root, bytes, &s, &index);
     if (e == ERR_OK)
-        e = get_chunks(&s, &index, parts, fetch, ctx);
+        e = get_chunks(&s, &index, parts, late, fetch, ctx);
     package_index_release(&index);
     if (e == ERR_OK)
         *out = s;

@@ -185,7 +185,7 @@ bool scene_transform_valid(const double m[16])
     return fabs(det) > 1e-13;
 }
 
-static bool image_valid(const struct scene_image *image)
+bool scene_image_valid(const struct scene_image *image)
 {
     if (!image->pixels || image->width < 1 || image->width > SCENE_IMAGE_SIDE_MAX ||
         image->height < 1 || image->height > SCENE_IMAGE_SIDE_MAX)
@@ -302,9 +302,14 @@ bool scene_tables_valid(const struct scene *s)
 
 bool scene_valid(const struct scene *s)
 {
+    return scene_valid_without(s, NULL);
+}
+
+bool scene_valid_without(const struct scene *s, const bool *late)
+{
     bool good = scene_tables_valid(s);
     for (size_t i = 0; good && i < s->image_count; i++)
-        good = image_valid(&s->images[i]);
+        good = (late && late[i]) || scene_image_valid(&s->images[i]);
     for (size_t i = 0; good && i < s->mesh_count; i++)
         good = mesh_valid(&s->meshes[i]);
     return good;

@@ -210,6 +210,13 @@ void scene_object_init(struct scene_object *o);
  * every count within its limit. One pass over all of it. */
 TL_NODISCARD bool scene_valid(const struct scene *s);
 
+/* The same without looking into the images i with late[i], which may be empty; NULL: there are
+ * none. */
+TL_NODISCARD bool scene_valid_without(const struct scene *s, const bool *late);
+
+/* What scene_valid asks of an image. */
+TL_NODISCARD bool scene_image_valid(const struct scene_image *image);
+
 /* The same without looking into meshes and images: only their counts matter. */
 TL_NODISCARD bool scene_tables_valid(const struct scene *s);
 

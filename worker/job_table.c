@@ -30,6 +30,10 @@ static void log_trees(const struct worker_job *job)
         log_info(
             "job", "trees met by rays job=%" PRIu64 " built=%" PRIu64 " of=%" PRIu64 " bytes=%zu",
             job->id, stats.lazy_built, stats.lazy_count, render_scene_bytes(job->loaded.scene));
+    size_t late = render_scene_late_count(job->loaded.scene);
+    if (late > 0)
+        log_info("job", "pictures that nothing met job=%" PRIu64 " count=%zu of=%zu", job->id, late,
+                 render_scene_image_count(job->loaded.scene));
 }
 
 /* What the scenes take now: trees may have been built since they were ready. A scene that jobs
@@ -39,14 +43,15 @@ static uint64_t scene_bytes(const struct job_table *t)
     uint64_t bytes = 0;
     const struct worker_job *job;
     TAILQ_FOREACH(job, &t->jobs, in_jobs)
-    if (job->state == WORKER_JOB_READY)
+    if (job->loaded.scene)
         bytes += render_scene_bytes(job->loaded.scene) / render_scene_sharers(job->loaded.scene);
     return bytes;
 }
 
-static void drop_scene(struct worker_job *job)
+static void drop_scene(struct job_table *t, struct worker_job *job)
 {
-    TL_ASSERT(job->state == WORKER_JOB_READY);
+    TL_ASSERT(job->state == WORKER_JOB_READY || job->state == WORKER_JOB_FAILING);
+    scene_fetcher_forget(t->loader, job);
     (void)render_scene_free(job->loaded.scene); /* other jobs may share it */
     job->loaded = (struct loaded_scene){0};
     job->state = WORKER_JOB_IDLE;
@@ -57,8 +62,8 @@ static void free_job(struct job_table *t, struct worker_job *job)
     TL_ASSERT(job->users == 0);
     if (job->state == WORKER_JOB_LOADING)
         scene_fetcher_cancel(t->loader, job->id);
-    if (job->state == WORKER_JOB_READY)
-        drop_scene(job);
+    if (job->loaded.scene)
+        drop_scene(t, job);
     TAILQ_REMOVE(&t->jobs, job, in_jobs);
     t->count--;
     grid_release(&job->grid);
@@ -95,7 +100,7 @@ static void make_room(struct job_table *t)
         if (job->ended || job->gone)
             free_job(t, job);
         else
-            drop_scene(job);
+            drop_scene(t, job);
     }
 }
 
@@ -153,6 +158,7 @@ static bool share(struct job_table *t, struct worker_job *job)
     {
         struct render_scene *scene;
         if (other->state != WORKER_JOB_READY || !digest_equal(&other->package, &job->package) ||
+            (job->eager && render_scene_late_count(other->loaded.scene) > 0) ||
             render_scene_share(other->loaded.scene, &job->spec, &scene) != ERR_OK)
             continue;
         job->loaded =
@@ -190,7 +196,7 @@ static void load(struct job_table *t, struct worker_job *job)
         tell_ready(t, job);
         return;
     }
-    enum err e = scene_fetcher_start(t->loader, job->id, &job->package, &job->spec);
+    enum err e = scene_fetcher_start(t->loader, job->id, &job->package, &job->spec, job->eager);
     job->state = WORKER_JOB_LOADING;
     if (e != ERR_OK)
         fail(t, job, e, "cannot start to load the scene");
@@ -222,6 +228,71 @@ static void on_finished(void *ctx, uint64_t id, enum err error, const char *text
     tell_ready(t, job);
     share_with_waiting(t);
 }
+
+/* --- Late pictures ---------------------------------------------------------------------- */
+
+static void finish_failing(struct job_table *t, struct worker_job *job)
+{
+    drop_scene(t, job);
+    job->state = WORKER_JOB_FAILED;
+    job->eager = true;
+    if (!job->gone && !job->ended)
+        say_failed(t, job->id, job->error, job->why);
+}
+
+/* A READY job cannot go on. Its scene goes, and the master hears of it, when the last of its units
+ * has ended. */
+static void fail_ready(struct job_table *t, struct worker_job *job, enum err error,
+                       const char *text)
+{
+    job->state = WORKER_JOB_FAILING;
+    job->error = error;
+    (void)snprintf(job->why, sizeof job->why, "%s", text);
+    scene_fetcher_forget(t->loader, job);
+    job->users++;
+    t->handlers.failed(t->ctx, job);
+    job_table_release(t, job);
+}
+
+static void on_brought(void *ctx, void *owner, enum err error, const char *text,
+                       uint64_t received_bytes)
+{
+    struct job_table *t = ctx;
+    struct worker_job *job = owner;
+    TL_ASSERT(job->state == WORKER_JOB_READY);
+    job->loaded.received_bytes += received_bytes;
+    if (error != ERR_OK) {
+        fail_ready(t, job, error, text);
+        return;
+    }
+    job->loaded.scene_bytes = render_scene_bytes(job->loaded.scene);
+    job->users++;
+    make_room(t);
+    job->users--;
+    /* Once for all that its units wait for: the master takes it that none waits any more. */
+    if (scene_fetcher_bringing(t->loader, job) == 0 && !job->gone)
+        say_ready(t, job);
+    t->handlers.ready(t->ctx, job);
+}
+
+enum err job_table_bring(struct job_table *t, struct worker_job *job, const uint32_t *images,
+                         size_t count)
+{
+    TL_ASSERT(job->state == WORKER_JOB_READY);
+    for (size_t i = 0; i < count; i++)
+        TL_TRY(scene_fetcher_bring(t->loader, job, job->loaded.scene, images[i]));
+    return ERR_OK;
+}
+
+enum err job_table_bring_all(struct job_table *t, struct worker_job *job)
+{
+    TL_ASSERT(job->state == WORKER_JOB_READY);
+    for (uint32_t i = 0; i < render_scene_image_count(job->loaded.scene); i++)
+        TL_TRY(scene_fetcher_bring(t->loader, job, job->loaded.scene, i));
+    return ERR_OK;
+}
+
+/* --- Requests to the master --------------------------------------------------------------- */
 
 static bool on_request(void *ctx, const digest *chunk)
 {
@@ -309,8 +380,8 @@ enum err job_table_announce(struct job_table *t, const tilery_JobInfo *info)
     job->used = ++t->clock;
     if (job->state == WORKER_JOB_READY)
         say_ready(t, job);
-    else if (job->state != WORKER_JOB_LOADING)
-        load(t, job);
+    else if (job->state != WORKER_JOB_LOADING && job->state != WORKER_JOB_FAILING)
+        load(t, job); /* FAILING: JobFailed follows */
     return ERR_OK;
 }
 
@@ -323,8 +394,12 @@ struct worker_job *job_table_find(struct job_table *t, uint64_t id)
 void job_table_end(struct job_table *t, struct worker_job *job)
 {
     job->ended = true;
-    if (job->state == WORKER_JOB_READY)
+    if (job->state == WORKER_JOB_READY) {
+        if (job->loaded.received_bytes > 0)
+            say_ready(t, job); /* the last pictures */
+        scene_fetcher_forget(t->loader, job);
         log_trees(job);
+    }
     if (job->state == WORKER_JOB_LOADING) {
         scene_fetcher_cancel(t->loader, job->id);
         job->state = WORKER_JOB_IDLE;
@@ -347,6 +422,8 @@ void job_table_release(struct job_table *t, struct worker_job *job)
     job->users--;
     if (job->users > 0)
         return;
+    if (job->state == WORKER_JOB_FAILING)
+        finish_failing(t, job);
     if (job->gone || (job->ended && job->state != WORKER_JOB_READY))
         free_job(t, job);
     else
@@ -383,7 +460,7 @@ struct scene_fetcher *job_table_loader(struct job_table *t)
 /* --- Life ------------------------------------------------------------------------------- */
 
 enum err job_table_new(struct pool *pool, struct chunk_cache *cache, uint64_t scene_bytes_max,
-                       uint32_t lazy_triangles_min, const struct outlet *outlet,
+                       bool eager, const struct outlet *outlet,
                        const struct job_table_handlers *handlers, void *ctx, struct job_table **out)
 {
     struct job_table *t = mem_calloc(1, sizeof *t);
@@ -394,8 +471,9 @@ enum err job_table_new(struct pool *pool, struct chunk_cache *cache, uint64_t sc
     t->ctx = ctx;
     t->scene_bytes_max = scene_bytes_max;
     TAILQ_INIT(&t->jobs);
-    struct scene_fetcher_handlers on = {.request = on_request, .finished = on_finished};
-    enum err e = scene_fetcher_new(pool, cache, lazy_triangles_min, &on, t, &t->loader);
+    struct scene_fetcher_handlers on = {
+        .request = on_request, .finished = on_finished, .brought = on_brought};
+    enum err e = scene_fetcher_new(pool, cache, eager, &on, t, &t->loader);
     if (e != ERR_OK) {
         mem_free(t);
         return e;

@@ -13,7 +13,6 @@
 #include "common/log.h"
 #include "common/tags.h"
 #include "proto/transport.h"
-#include "common/scene_lazy.h"
 #include "worker/render/render.h"
 #include "worker/session.h"
 
@@ -36,7 +35,8 @@ static const char help[] =
     "  --trees DIR         keep trees in DIR all the same; of the workers that share DIR one\n"
     "                      builds a tree, and the others wait for it (the cache's folder)\n"
     "  --cache-size MIB    of chunks, and of trees, at most (20480 in DIR, 1024 in memory)\n"
-    "  --eager             build all trees at once (else large objects' when rays meet them)\n"
+    "  --eager             fetch all pictures and build all trees before the first unit (else\n"
+    "                      large ones, where there are many, when paths of light meet them)\n"
     "  --memory MIB        for built scenes; the oldest unused go first (half of the machine's)\n"
     "  --determinism-id    print what must be equal on all workers of a farm, and exit\n"
     "  --log LEVEL         error, warn, info, debug or trace (info)\n"
@@ -432,7 +432,7 @@ int main(int argc, char **argv)
         .pool = p.pool,
         .cache = p.cache,
         .scene_bytes_max = p.memory_mib * MIB,
-        .lazy_triangles_min = p.eager ? 0 : SCENE_LAZY_TRIANGLES_MIN,
+        .eager = p.eager,
         .registered = on_registered,
         .ended = on_ended,
         .ctx = &p,

@@ -1,4 +1,4 @@
-#include "worker/scene_fetcher.h"
+#include "worker/scene_fetcher_impl.h"
 
 #include <inttypes.h>
 #include <stdio.h>
@@ -7,107 +7,13 @@
 
 #include "common/log.h"
 #include "common/mem.h"
-#include "common/package.h"
+#include "common/package_late.h"
+#include "common/scene_lazy.h"
 
 enum {
-    ASKED_MAX = 8, /* requests in flight: the next chunk is on its way while one is stored */
-    TRIES_MAX = 3, /* of one chunk that comes damaged, and of a scene whose chunks get lost */
-    TEXT_BYTES = 200,
     PATIENCE_MS = 500, /* for the tree that another worker builds, and more for many triangles */
     PATIENCE_TRIANGLES_A_MS = 250,
     PATIENCE_MS_MAX = 600000,
-};
-
-/* Plain bytes in flight at most (or one chunk): what storing them takes in memory. */
-static const uint64_t asked_bytes_max = UINT64_C(64) << 20;
-
-enum want_state { WANT_NEEDED, WANT_ASKED, WANT_STORING, WANT_HELD };
-
-struct want {
-    digest name;
-    uint64_t raw_bytes_max;
-    enum want_state state;
-    uint32_t tries;
-};
-
-enum phase { PHASE_QUEUED, PHASE_OPENING, PHASE_FETCHING, PHASE_BUILDING };
-
-struct load {
-    struct pool_task task;
-    struct scene_fetcher *loader;
-    uint64_t job;
-    digest package;
-    struct job_spec spec;
-    enum phase phase;
-    bool cancelled;
-    double begun, load_seconds, build_seconds;
-    uint64_t received_bytes;
-    uint32_t rounds;
-
-    /* The root alone while it is missing, else every chunk of the index. */
-    struct want *wants;
-    size_t want_count, want_next, held_count;
-
-    /* Written by the service thread, read by the loop in `done`. */
-    enum err error;
-    bool root_missing, chunk_lost;
-    const char *step; /* what failed */
-    struct buf root, chunk;
-    struct package_index index;
-    struct package_part *parts; /* of the index: chunks decoded as they came */
-    struct render_scene *scene;
-    struct tree_write *new_tree; /* to be written behind the build; or NULL */
-    struct tree_claim *claim;    /* others wait for the tree that is built here; or NULL */
-    TAILQ_ENTRY(load) in_loads;
-};
-
-/* A tree on its way to the cache: nobody here waits for it. */
-struct tree_write {
-    struct pool_task task;
-    struct scene_fetcher *loader;
-    digest key;
-    struct render_scene *scene; /* shared until the tree is written; the loop's */
-    struct tree_claim *claim;
-    TAILQ_ENTRY(tree_write) in_trees;
-};
-
-/* A request that the master has not answered yet; `load` NULL: of a load that is no more. */
-struct asked {
-    bool used;
-    digest name;
-    uint64_t raw_bytes_max;
-    struct load *load;
-    size_t want;
-};
-
-struct scene_fetcher {
-    struct pool *pool;
-    struct chunk_cache *cache;
-    uint32_t lazy_triangles_min;
-    struct scene_fetcher_handlers handlers;
-    void *ctx;
-    TAILQ_HEAD(, load) loads; /* the first is the one at work */
-    struct asked asked[ASKED_MAX];
-    uint64_t asked_bytes;
-    TAILQ_HEAD(, store) stores;
-    TAILQ_HEAD(, tree_write) trees;
-};
-
-/* A chunk on its way to the cache. */
-struct store {
-    struct pool_task task;
-    struct scene_fetcher *loader;
-    struct load *load; /* NULL: of a load that is no more */
-    size_t want;
-    digest name;
-    uint64_t raw_bytes_max;
-    unsigned char *frame;
-    size_t frame_bytes;
-    bool is_root;
-    enum package_kind kind;
-    struct package_part part; /* decoded, if it can be */
-    enum err error;
-    TAILQ_ENTRY(store) in_stores;
 };
 
 static double now_seconds(void)
@@ -118,7 +24,6 @@ static double now_seconds(void)
 }
 
 static void begin_next(struct scene_fetcher *l);
-static void ask(struct scene_fetcher *l);
 
 /* --- The end of a load ------------------------------------------------------------ */
 
@@ -139,6 +44,17 @@ static void free_parts(struct load *load)
     load->parts = NULL;
 }
 
+/* What the root says, but for the root itself. */
+static void free_index(struct load *load)
+{
+    free_parts(load);
+    mem_free(load->late);
+    mem_free(load->chunks);
+    load->late = NULL;
+    load->chunks = NULL;
+    package_index_release(&load->index);
+}
+
 static void free_store(struct store *s)
 {
     package_part_release(&s->part);
@@ -152,8 +68,7 @@ static void free_load(struct load *load)
     tree_cache_release(load->claim);
     buf_release(&load->root);
     buf_release(&load->chunk);
-    free_parts(load);
-    package_index_release(&load->index);
+    free_index(load);
     render_scene_free(load->scene);
     mem_free(load->wants);
     mem_free(load);
@@ -204,6 +119,50 @@ static void end_with_chunk(struct load *load, const struct want *w, enum err err
 
 /* --- On the service thread --------------------------------------------------------- */
 
+/* Which pictures come later, and where each is to be had then. */
+static enum err choose_late(struct load *load, const struct scene *tables)
+{
+    load->late = mem_calloc(load->index.count, sizeof *load->late);
+    load->chunks = mem_calloc(tables->image_count, sizeof *load->chunks);
+    if (!load->late || !load->chunks)
+        return ERR_NOMEM;
+    size_t count = 0;
+    if (!load->eager)
+        count = package_late_choose(tables, &load->index, load->late);
+    if (count > 0)
+        log_info("job", "pictures come when they are met job=%" PRIu64 " late=%zu of=%zu",
+                 load->job, count, tables->image_count);
+    for (size_t i = 0; i < tables->image_count; i++) {
+        const struct package_index_entry *e = &load->index.entries[tables->mesh_count + i];
+        load->chunks[i] = (struct late_chunk){
+            .late = load->late[tables->mesh_count + i], .name = e->name, .bytes = e->bytes};
+    }
+    return ERR_OK;
+}
+
+/* Of the chunks of the index, those that the cache lacks are wanted, unless they come later. */
+static enum err list_wants(struct load *load)
+{
+    struct want *wants = mem_alloc_array(load->index.count, sizeof *wants);
+    load->parts = mem_calloc(load->index.count, sizeof *load->parts);
+    if (!wants || !load->parts) {
+        mem_free(wants);
+        return ERR_NOMEM;
+    }
+    mem_free(load->wants);
+    load->wants = wants;
+    load->want_count = load->index.count;
+    load->held_count = 0;
+    for (size_t i = 0; i < load->index.count; i++) {
+        const struct package_index_entry *e = &load->index.entries[i];
+        bool held = load->late[i] || chunk_cache_has(load->loader->cache, &e->name);
+        wants[i] = (struct want){
+            .name = e->name, .raw_bytes_max = e->bytes, .state = held ? WANT_HELD : WANT_NEEDED};
+        load->held_count += held;
+    }
+    return ERR_OK;
+}
+
 static void run_open(struct pool_task *task, uint32_t thread)
 {
     (void)thread;
@@ -222,32 +181,16 @@ static void run_open(struct pool_task *task, uint32_t thread)
     }
     if (load->error != ERR_OK)
         return;
-    free_parts(load);
-    package_index_release(&load->index);
+    free_index(load);
     load->index = (struct package_index){0};
-    load->error = package_root_read(load->root.data, load->root.bytes, &load->index);
+    struct scene tables;
+    load->error = package_tables_read(load->root.data, load->root.bytes, &tables, &load->index);
     if (load->error != ERR_OK)
         return;
-
-    load->error = ERR_NOMEM;
-    struct want *wants = mem_alloc_array(load->index.count, sizeof *wants);
-    load->parts = mem_calloc(load->index.count, sizeof *load->parts);
-    if (!wants || !load->parts) {
-        mem_free(wants);
-        return;
-    }
-    mem_free(load->wants);
-    load->wants = wants;
-    load->want_count = load->index.count;
-    load->held_count = 0;
-    for (size_t i = 0; i < load->index.count; i++) {
-        const struct package_index_entry *e = &load->index.entries[i];
-        bool held = chunk_cache_has(cache, &e->name);
-        wants[i] = (struct want){
-            .name = e->name, .raw_bytes_max = e->bytes, .state = held ? WANT_HELD : WANT_NEEDED};
-        load->held_count += held;
-    }
-    load->error = ERR_OK;
+    load->error = choose_late(load, &tables);
+    scene_release(&tables);
+    if (load->error == ERR_OK)
+        load->error = list_wants(load);
 }
 
 static enum err fetch_chunk(void *ctx, size_t i, const struct package_index_entry *entry,
@@ -334,8 +277,8 @@ static void run_build(struct pool_task *task, uint32_t thread)
     struct scene scene;
     scene_init(&scene);
     load->step = "cannot read the scene";
-    load->error = package_read_parts(load->root.data, load->root.bytes, load->parts, fetch_chunk,
-                                     load, &scene);
+    load->error = package_read_parts(load->root.data, load->root.bytes, load->parts, load->late,
+                                     fetch_chunk, load, &scene);
     buf_release(&load->chunk);
     buf_init(&load->chunk);
     double read = now_seconds();
@@ -346,9 +289,10 @@ static void run_build(struct pool_task *task, uint32_t thread)
         struct scene_trees trees = {
             .find = find_tree, .drop = drop_tree, .keep = keep_tree, .ctx = load};
         bool kept = chunk_cache_trees(load->loader->cache) != NULL;
-        struct scene_building how = {.runner = &runner,
-                                     .trees = kept ? &trees : NULL,
-                                     .lazy_triangles_min = load->loader->lazy_triangles_min};
+        struct scene_building how = {
+            .runner = &runner, .trees = kept ? &trees : NULL, .late = load->chunks};
+        if (!load->loader->eager)
+            how.lazy_triangles_min = SCENE_LAZY_TRIANGLES_MIN;
         load->error = scene_build_as(&scene, &load->spec, &how, &load->scene);
         load->build_seconds = now_seconds() - read;
     }
@@ -423,7 +367,7 @@ static void done_open(struct pool_task *task)
     load->phase = PHASE_FETCHING;
     if (load->root_missing)
         want_root(load);
-    ask(l);
+    fetcher_ask(l);
 }
 
 static void done_tree_write(struct pool_task *task)
@@ -471,15 +415,17 @@ static void begin_next(struct scene_fetcher *l)
 
 /* --- Asking and receiving ----------------------------------------------------------- */
 
-static struct asked *free_slot(struct scene_fetcher *l)
+struct asked *fetcher_slot(struct scene_fetcher *l, uint64_t raw_bytes_max)
 {
+    if (l->asked_bytes > 0 && l->asked_bytes + raw_bytes_max > ASKED_BYTES_MAX)
+        return NULL;
     for (size_t i = 0; i < ASKED_MAX; i++)
         if (!l->asked[i].used)
             return &l->asked[i];
     return NULL;
 }
 
-static struct asked *find_asked(const struct scene_fetcher *l, const digest *name)
+struct asked *fetcher_find_asked(const struct scene_fetcher *l, const digest *name)
 {
     for (size_t i = 0; i < ASKED_MAX; i++)
         if (l->asked[i].used && digest_equal(&l->asked[i].name, name))
@@ -487,9 +433,16 @@ static struct asked *find_asked(const struct scene_fetcher *l, const digest *nam
     return NULL;
 }
 
-/* Asks for the next chunks of the load at work, as far as the window allows; once all are held,
- * goes on to the next phase. */
-static void ask(struct scene_fetcher *l)
+void fetcher_asked(struct scene_fetcher *l, struct asked *slot, const struct asked *request)
+{
+    TL_ASSERT(!slot->used);
+    *slot = *request;
+    slot->used = true;
+    l->asked_bytes += slot->raw_bytes_max;
+}
+
+/* The next chunks of the load at work; once all are held, goes on to the next phase. */
+static void ask_load(struct scene_fetcher *l)
 {
     struct load *load = TAILQ_FIRST(&l->loads);
     if (!load || load->phase != PHASE_FETCHING)
@@ -503,23 +456,27 @@ static void ask(struct scene_fetcher *l)
     }
     while (load->want_next < load->want_count) {
         struct want *w = &load->wants[load->want_next];
-        struct asked *slot = free_slot(l);
         if (w->state != WANT_NEEDED) {
             load->want_next++;
             continue;
         }
-        bool over = l->asked_bytes > 0 && l->asked_bytes + w->raw_bytes_max > asked_bytes_max;
-        if (!slot || over || !l->handlers.request(l->ctx, &w->name))
+        struct asked *slot = fetcher_slot(l, w->raw_bytes_max);
+        if (!slot || !l->handlers.request(l->ctx, &w->name))
             return;
-        *slot = (struct asked){.used = true,
-                               .name = w->name,
-                               .raw_bytes_max = w->raw_bytes_max,
-                               .load = load,
-                               .want = load->want_next};
-        l->asked_bytes += w->raw_bytes_max;
+        fetcher_asked(l, slot,
+                      &(struct asked){.name = w->name,
+                                      .raw_bytes_max = w->raw_bytes_max,
+                                      .load = load,
+                                      .want = load->want_next});
         w->state = WANT_ASKED;
         load->want_next++;
     }
+}
+
+void fetcher_ask(struct scene_fetcher *l)
+{
+    if (bring_ask(l))
+        ask_load(l);
 }
 
 static void answered(struct scene_fetcher *l, struct asked *a)
@@ -539,7 +496,7 @@ static void want_again(struct load *load, size_t i, enum err error)
     if (++w->tries >= TRIES_MAX)
         end_with_chunk(load, w, error, "came damaged each time");
     else
-        ask(load->loader);
+        fetcher_ask(load->loader);
 }
 
 static void done_store(struct pool_task *task)
@@ -560,7 +517,7 @@ static void done_store(struct pool_task *task)
     if (error == ERR_OK) {
         load->wants[i].state = WANT_HELD;
         load->held_count++;
-        ask(l);
+        fetcher_ask(l);
     } else if (error == ERR_NOMEM) {
         end_with_chunk(load, &load->wants[i], error, "no memory for it");
     } else {
@@ -571,7 +528,7 @@ static void done_store(struct pool_task *task)
 enum err scene_fetcher_wants(const struct scene_fetcher *l, const digest *chunk, uint64_t raw_bytes,
                              uint64_t body_bytes)
 {
-    const struct asked *a = find_asked(l, chunk);
+    const struct asked *a = fetcher_find_asked(l, chunk);
     if (!a)
         return ERR_CORRUPT;
     /* zstd adds at most 1/256 and a little to what it cannot compress. */
@@ -583,7 +540,14 @@ enum err scene_fetcher_wants(const struct scene_fetcher *l, const digest *chunk,
 void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned char *body,
                          size_t body_bytes)
 {
-    struct asked *a = find_asked(l, chunk);
+    struct asked *a = fetcher_find_asked(l, chunk);
+    if (a && a->bring) {
+        struct bring *b = a->bring;
+        answered(l, a);
+        bring_chunk(b, body, body_bytes);
+        fetcher_ask(l);
+        return;
+    }
     struct store *s = a ? mem_calloc(1, sizeof *s) : NULL;
     struct load *load = a ? a->load : NULL;
     if (!s) {
@@ -611,17 +575,20 @@ void scene_fetcher_chunk(struct scene_fetcher *l, const digest *chunk, unsigned 
     }
     TAILQ_INSERT_TAIL(&l->stores, s, in_stores);
     pool_submit(l->pool, &s->task);
-    ask(l);
+    fetcher_ask(l);
 }
 
 enum err scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk)
 {
-    struct asked *a = find_asked(l, chunk);
+    struct asked *a = fetcher_find_asked(l, chunk);
     if (!a)
         return ERR_CORRUPT;
     struct load *load = a->load;
+    struct bring *b = a->bring;
     size_t i = a->want;
     answered(l, a);
+    if (b)
+        bring_missing(b);
     if (load)
         end_with_chunk(load, &load->wants[i], ERR_NOT_FOUND, "the master does not have it");
     return ERR_OK;
@@ -631,7 +598,7 @@ enum err scene_fetcher_missing(struct scene_fetcher *l, const digest *chunk)
 
 void scene_fetcher_connected(struct scene_fetcher *l)
 {
-    ask(l);
+    fetcher_ask(l);
 }
 
 void scene_fetcher_disconnected(struct scene_fetcher *l)
@@ -645,12 +612,14 @@ void scene_fetcher_disconnected(struct scene_fetcher *l)
             if (a->load->want_next > a->want)
                 a->load->want_next = a->want;
         }
+        if (a->bring)
+            bring_unasked(a->bring);
         answered(l, a);
     }
 }
 
 enum err scene_fetcher_start(struct scene_fetcher *l, uint64_t job, const digest *package,
-                             const struct job_spec *spec)
+                             const struct job_spec *spec, bool eager)
 {
     struct load *load;
     TAILQ_FOREACH(load, &l->loads, in_loads)
@@ -662,6 +631,7 @@ enum err scene_fetcher_start(struct scene_fetcher *l, uint64_t job, const digest
     load->job = job;
     load->package = *package;
     load->spec = *spec;
+    load->eager = eager || l->eager;
     buf_init(&load->root);
     buf_init(&load->chunk);
     TAILQ_INSERT_TAIL(&l->loads, load, in_loads);
@@ -683,22 +653,19 @@ void scene_fetcher_cancel(struct scene_fetcher *l, uint64_t job)
         end(load, ERR_CANCELLED, "");
 }
 
-enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
-                           uint32_t lazy_triangles_min,
+enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache, bool eager,
                            const struct scene_fetcher_handlers *handlers, void *ctx,
                            struct scene_fetcher **out)
 {
     struct scene_fetcher *l = mem_calloc(1, sizeof *l);
     if (!l)
         return ERR_NOMEM;
-    *l = (struct scene_fetcher){.pool = pool,
-                                .cache = cache,
-                                .lazy_triangles_min = lazy_triangles_min,
-                                .handlers = *handlers,
-                                .ctx = ctx};
+    *l = (struct scene_fetcher){
+        .pool = pool, .cache = cache, .eager = eager, .handlers = *handlers, .ctx = ctx};
     TAILQ_INIT(&l->loads);
     TAILQ_INIT(&l->stores);
     TAILQ_INIT(&l->trees);
+    TAILQ_INIT(&l->brings);
     *out = l;
     return ERR_OK;
 }
@@ -722,5 +689,6 @@ void scene_fetcher_free(struct scene_fetcher *l)
         TAILQ_REMOVE(&l->trees, w, in_trees);
         free_tree(w);
     }
+    bring_free_all(l);
     mem_free(l);
 }

@@ -9,9 +9,13 @@
  *      ^           |             |
  *      +-----------+-------------+   root came, or a chunk was lost
  *
+ * Late pictures (package_late.h) are left out of a load. scene_fetcher_bring gets those that units
+ * have met: each is asked for once, however many units wait for it, before what a load asks for;
+ * read from the cache if it is there, made ready on the service thread, and put into the scene.
+ *
  * A load survives the loss of the connection and goes on with the next one.
  * Thread: the loop's; its tasks run on the pool's service thread.
- * Tests: the fake-master test (tests/e2e/test_worker_wire.py).
+ * Tests: the fake-master test (tests/e2e/test_worker_wire.py), tests/e2e/test_e2e_late.py.
  */
 #ifndef WORKER_SCENE_FETCHER_H
 #define WORKER_SCENE_FETCHER_H
@@ -19,7 +23,7 @@
 #include "common/digest.h"
 #include "worker/chunk_cache.h"
 #include "worker/pool.h"
-#include "worker/scene/scene_build.h"
+#include "worker/scene/scene_late.h"
 
 struct scene_fetcher; /* opaque */
 
@@ -37,21 +41,38 @@ struct scene_fetcher_handlers {
      * wrong, for people. Not called for a cancelled load. */
     void (*finished)(void *ctx, uint64_t job, enum err error, const char *text,
                      const struct loaded_scene *scene);
+
+    /* A picture that `job` (of scene_fetcher_bring) asked for is in its scene, or cannot be had:
+     * then `text` says why, for people. `received_bytes` came over the wire for it. */
+    void (*brought)(void *ctx, void *job, enum err error, const char *text,
+                    uint64_t received_bytes);
 };
 
-/* Borrows pool and cache; lazy_triangles_min as in scene_build.h. ERR_NOMEM. */
-TL_NODISCARD enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache,
-                                        uint32_t lazy_triangles_min,
+/* Borrows pool and cache. `eager`: scenes are fetched and built whole. ERR_NOMEM. */
+TL_NODISCARD enum err scene_fetcher_new(struct pool *pool, struct chunk_cache *cache, bool eager,
                                         const struct scene_fetcher_handlers *handlers, void *ctx,
                                         struct scene_fetcher **out);
 
 /* After pool_close: none of its tasks is left. */
 void scene_fetcher_free(struct scene_fetcher *l);
 
-/* Queues a load; copies package and spec. A job is loaded at most once at a time (asserted). */
+/* Queues a load; copies package and spec. A job is loaded at most once at a time (asserted).
+ * `eager`: none of its pictures is late. */
 TL_NODISCARD enum err scene_fetcher_start(struct scene_fetcher *l, uint64_t job,
-                                          const digest *package, const struct job_spec *spec);
+                                          const digest *package, const struct job_spec *spec,
+                                          bool eager);
 void scene_fetcher_cancel(struct scene_fetcher *l, uint64_t job);
+
+/* Brings an image into a scene, unless it is there or on its way. `job` is whose `scene` it is:
+ * both are borrowed until `brought` or scene_fetcher_forget. ERR_NOMEM. */
+TL_NODISCARD enum err scene_fetcher_bring(struct scene_fetcher *l, void *job,
+                                          struct render_scene *scene, uint32_t image);
+
+/* Pictures on their way for this job. */
+size_t scene_fetcher_bringing(const struct scene_fetcher *l, const void *job);
+
+/* The job wants none of its pictures any more. Other jobs on its scene ask again for theirs. */
+void scene_fetcher_forget(struct scene_fetcher *l, const void *job);
 
 /* The connection is up: asks (again) for what is missing. Down: forgets what was asked. */
 void scene_fetcher_connected(struct scene_fetcher *l);

@@ -379,7 +379,7 @@ enum err session_new(struct uv_loop_s *loop, const struct session_options *optio
     struct work_options work = {.pool = options->pool,
                                 .cache = options->cache,
                                 .scene_bytes_max = options->scene_bytes_max,
-                                .lazy_triangles_min = options->lazy_triangles_min,
+                                .eager = options->eager,
                                 .outlet = {.send = send_message, .ctx = s},
                                 .settled = on_settled,
                                 .ctx = s};

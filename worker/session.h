@@ -31,7 +31,7 @@ struct session_options {
     struct pool *pool;
     struct chunk_cache *cache;
     uint64_t scene_bytes_max;
-    uint32_t lazy_triangles_min; /* work.h */
+    bool eager; /* work.h */
 
     /* The first Welcome: the id this worker has. */
     void (*registered)(void *ctx, const char *worker_id);

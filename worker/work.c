@@ -12,6 +12,10 @@
  * and that have not ended here. */
 enum { LEASE_SLACK = 64, RESULT_BYTES_MAX = 256 << 20 };
 
+/* Runs of a unit that end for lack of pictures; then all that are missing are fetched before the
+ * next. */
+enum { RUNS_IN_VAIN_MAX = 8 };
+
 enum lease_state { LEASE_WAITING, LEASE_POOLED };
 
 struct lease {
@@ -30,6 +34,9 @@ struct lease {
     uint64_t render_us;
     uint32_t raw_bytes;
     struct blob *body;
+    uint32_t lacks[RENDER_LACKS_MAX]; /* pictures that it needs to run again */
+    size_t lack_count;
+    uint32_t runs_in_vain;
     TAILQ_ENTRY(lease) in_leases;
 };
 
@@ -141,13 +148,24 @@ static uint64_t now_us(void)
     return (uint64_t)now.tv_sec * 1000000 + (uint64_t)now.tv_nsec / 1000;
 }
 
+static void note_lacks(struct lease *lease, const struct render_scratch *scratch)
+{
+    const uint32_t *images;
+    lease->lack_count = render_lacks(scratch, &images);
+    for (size_t i = 0; i < lease->lack_count; i++)
+        lease->lacks[i] = images[i];
+}
+
 static enum err render_and_encode(struct lease *lease, struct render_scratch *scratch, float *rgb,
                                   size_t value_count)
 {
     const struct worker_job *job = lease->job;
     uint64_t begun = now_us();
-    TL_TRY(render_unit(job->loaded.scene, &job->grid, lease->unit, scratch, &lease->stop, rgb,
-                       &lease->counters));
+    enum err e = render_unit(job->loaded.scene, &job->grid, lease->unit, scratch, &lease->stop, rgb,
+                             &lease->counters);
+    if (e == ERR_NOT_FOUND)
+        note_lacks(lease, scratch);
+    TL_TRY(e);
     lease->render_us = now_us() - begun;
     unsigned char *encoded;
     size_t encoded_bytes;
@@ -176,10 +194,65 @@ static void run_unit(struct pool_task *task, uint32_t thread)
 
 static void feed_pool(struct work *w);
 
+/* --- Late pictures -------------------------------------------------------------------- */
+
+/* What the lease needs to run again is asked for, whoever asked before. */
+static enum err bring_lacks(struct work *w, struct lease *lease)
+{
+    if (lease->runs_in_vain >= RUNS_IN_VAIN_MAX)
+        return job_table_bring_all(w->jobs, lease->job);
+    return job_table_bring(w->jobs, lease->job, lease->lacks, lease->lack_count);
+}
+
+static bool has_pictures(const struct lease *lease)
+{
+    const struct render_scene *scene = lease->job->loaded.scene;
+    struct picture_need need;
+    if (lease->runs_in_vain >= RUNS_IN_VAIN_MAX)
+        return render_scene_late_count(scene) == 0;
+    for (size_t i = 0; i < lease->lack_count; i++)
+        if (render_scene_need(scene, lease->lacks[i], &need))
+            return false;
+    return true;
+}
+
+/* The unit met pictures that are not there: it waits for them and runs again. */
+static enum err wait_for_pictures(struct work *w, struct lease *lease)
+{
+    lease->state = LEASE_WAITING;
+    lease->runs_in_vain++;
+    log_debug("unit", "lacks pictures job=%" PRIu64 " epoch=%" PRIu64 " count=%zu runs=%" PRIu32,
+              lease->job->id, lease->epoch, lease->lack_count, lease->runs_in_vain);
+    return bring_lacks(w, lease);
+}
+
+/* A job that asked for pictures is gone: leases of others that wait for the same ask for
+ * themselves. No memory: their deadlines give them to others. */
+static void bring_all_lacks(struct work *w)
+{
+    struct lease *lease;
+    TAILQ_FOREACH(lease, &w->leases, in_leases)
+    {
+        if (lease->state != LEASE_WAITING || lease->lack_count == 0 ||
+            lease->job->state != WORKER_JOB_READY)
+            continue;
+        enum err ignored = bring_lacks(w, lease);
+        (void)ignored;
+    }
+}
+
 static void done_unit(struct pool_task *task)
 {
     struct lease *lease = (struct lease *)task;
     struct work *w = lease->work;
+    bool heard = w->connected || !w->draining;
+    if (!lease->unwanted && lease->error == ERR_NOT_FOUND && heard) {
+        lease->error = wait_for_pictures(w, lease);
+        if (lease->error == ERR_OK) {
+            feed_pool(w);
+            return;
+        }
+    }
     if (!lease->unwanted) {
         enum err e = lease->error;
         if (e == ERR_OK && !keep_result(w, lease))
@@ -203,7 +276,8 @@ static void feed_pool(struct work *w)
     struct lease *lease;
     TAILQ_FOREACH(lease, &w->leases, in_leases)
     {
-        if (lease->state != LEASE_WAITING || lease->job->state != WORKER_JOB_READY)
+        if (lease->state != LEASE_WAITING || lease->job->state != WORKER_JOB_READY ||
+            !has_pictures(lease))
             continue;
         lease->state = LEASE_POOLED;
         lease->task = (struct pool_task){.run = run_unit, .done = done_unit, .kind = POOL_RENDER};
@@ -258,8 +332,8 @@ static enum err on_lease(struct work *w, const tilery_Lease *m)
         say_unit_failed(w, m->job, m->epoch, ERR_NOT_FOUND, "no such job on this worker");
         return ERR_OK;
     }
-    if (job->state == WORKER_JOB_FAILED)
-        return ERR_OK; /* JobFailed has returned it */
+    if (job->state == WORKER_JOB_FAILED || job->state == WORKER_JOB_FAILING)
+        return ERR_OK; /* JobFailed returns it */
     if (!grid_has_unit(&job->grid, &job->blocks, unit) ||
         job->grid.plane_count * grid_pixels(&job->grid, unit.cell_begin, unit.cell_count) >
             LIMIT_UNIT_VALUES) {
@@ -319,6 +393,7 @@ static void on_job_end(struct work *w, uint64_t id)
     drop_all(w, job, true);
     job_table_end(w->jobs, job);
     job_table_release(w->jobs, job);
+    bring_all_lacks(w);
     feed_pool(w);
 }
 
@@ -521,6 +596,7 @@ static void on_job_failed(void *ctx, struct worker_job *job)
 {
     struct work *w = ctx;
     drop_all(w, job, true);
+    bring_all_lacks(w);
     w->options.settled(w->options.ctx);
 }
 
@@ -562,8 +638,8 @@ enum err work_new(const struct work_options *options, struct work **out)
         e = render_scratch_new(&w->scratch[i]);
     struct job_table_handlers on = {.ready = on_job_ready, .failed = on_job_failed};
     if (e == ERR_OK)
-        e = job_table_new(options->pool, options->cache, options->scene_bytes_max,
-                          options->lazy_triangles_min, &options->outlet, &on, w, &w->jobs);
+        e = job_table_new(options->pool, options->cache, options->scene_bytes_max, options->eager,
+                          &options->outlet, &on, w, &w->jobs);
     if (e != ERR_OK) {
         work_free(w);
         return e;

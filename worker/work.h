@@ -27,7 +27,7 @@ struct work_options {
     struct pool *pool;
     struct chunk_cache *cache;
     uint64_t scene_bytes_max;
-    uint32_t lazy_triangles_min; /* scene_build.h; 0: every tree is built before the first unit */
+    bool eager; /* a scene is fetched and built whole before its first unit */
     struct outlet outlet;
     void (*settled)(void *ctx); /* a lease or a result has gone: perhaps all is done */
     void *ctx;

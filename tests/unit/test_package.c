@@ -108,8 +108,8 @@ static void parts_need_no_fetch(void **state)
             if (i != left_out)
                 chunks[i + 1].bytes = 0;
         one.chunks = chunks;
-        assert_int_equal(package_read_parts(root->data, root->bytes, parts, fetch, &one, &back),
-                         ERR_OK);
+        assert_int_equal(
+            package_read_parts(root->data, root->bytes, parts, NULL, fetch, &one, &back), ERR_OK);
         for (size_t i = 0; i < 3; i++)
             assert_false(parts[i].there);
         assert_int_equal(package_write(&back, 0, &again), ERR_OK);

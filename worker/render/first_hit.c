@@ -66,7 +66,7 @@ void first_hit_means(const struct render_scene *scene, struct render_scratch *w)
                 there = &copy;
                 footprint_arrive(there, w->paths[w->active[i]].org, &w->rays[i], &w->hits[i]);
             }
-            shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), there, &at);
+            wave_shade(scene, w, i, there, &at);
             albedo = albedo_of(&at.bsdf);
         }
         put_vec(set, AOV_NORMAL, at.surface.ns, out, &count);

@@ -304,7 +304,11 @@ static bool arrive(const struct render_scene *scene, struct render_scratch *w, u
     v->from = from;
     v->dir = v3_of(w->rays[from].dir);
     v->footprint = wave_arrive(scene, w, from);
-    shade_of_hit(scene, hit, v->dir, v->footprint, &v->at);
+    /* At its last vertex a path reads nothing of what pictures say, so it lacks none. */
+    if (depth < depth_max || shared)
+        wave_shade(scene, w, from, v->footprint, &v->at);
+    else
+        shade_of_hit(scene, hit, v->dir, v->footprint, &v->at);
     if (scene->objects[hit->object].light_begin != SCENE_NONE)
         add_emission(scene, &w->paths[index], hit, &v->at.surface, v->dir, v->footprint);
     if (shared)
@@ -394,7 +398,7 @@ void integrate_ao(const struct render_scene *scene, struct render_scratch *w)
         if (w->hits[i].object == SCENE_NONE)
             continue;
         struct shade at;
-        shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), wave_arrive(scene, w, i), &at);
+        wave_shade(scene, w, i, wave_arrive(scene, w, i), &at);
         double u[SAMPLER_SET_VALUES];
         uint32_t index = w->active[i];
         sampler_set(&w->paths[index].sampler, WAVE_SET_VERTEX, u);

@@ -32,7 +32,7 @@ static bool advance(const struct render_scene *scene, struct render_scratch *w, 
     struct shade at;
     vec3 dir = v3_of(w->rays[from].dir);
     struct footprint *footprint = wave_arrive(scene, w, from);
-    shade_of_hit(scene, hit, dir, footprint, &at);
+    wave_shade(scene, w, from, footprint, &at);
     const struct material *m = at.bsdf.material;
     if (m->type == SCENE_MATERIAL_DIFFUSE)
         connect_light(scene, w, index, &at);

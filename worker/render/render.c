@@ -29,6 +29,12 @@ void render_scratch_free(struct render_scratch *s)
     mem_free(s);
 }
 
+size_t render_lacks(const struct render_scratch *s, const uint32_t **images)
+{
+    *images = s->lacks;
+    return s->lack_count;
+}
+
 /* Walks the groups of a unit, sample by sample: cells, rows of groups, groups, samples. */
 struct cursor {
     const struct grid *grid;
@@ -40,6 +46,7 @@ struct cursor {
     uint64_t rect_begin; /* pixels of the unit before this cell */
     uint32_t x, y;       /* the group's corner */
     uint64_t sample;     /* in the block */
+    bool skims;          /* one sample of each group is enough: the result does not count */
 };
 
 /* Goes to the first group that meets the cell. */
@@ -66,7 +73,7 @@ static struct cursor cursor_of(const struct render_scene *scene, const struct gr
 
 static void cursor_next(struct cursor *c)
 {
-    if (++c->sample < c->block.count)
+    if (++c->sample < c->block.count && !c->skims)
         return;
     c->sample = 0;
     c->x += c->side;
@@ -342,6 +349,7 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
     *counters = (struct render_counters){.samples = sums.plane * block.count,
                                          .nonfinite_pixel = UINT64_MAX};
     scratch->ray_count = 0;
+    scratch->lack_count = 0;
     uint64_t failures = accel_failures(scene->accel);
     unsigned int mxcsr = _mm_getcsr();
     _mm_setcsr(MXCSR_DEFAULT);
@@ -356,8 +364,12 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
         if (sums.mean_count > 0)
             first_hit_means(scene, scratch);
         integrate(scene, scratch);
-        add_wave(scene, scratch, &sums, counters);
+        cursor.skims = scratch->lack_count > 0;
+        if (!cursor.skims)
+            add_wave(scene, scratch, &sums, counters);
     }
+    if (e == ERR_OK && scratch->lack_count > 0)
+        e = ERR_NOT_FOUND;
     if (e == ERR_OK && sums.centre_count > 0)
         put_centres(scene, grid, unit, scratch, &sums);
     _mm_setcsr(mxcsr);

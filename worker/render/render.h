@@ -29,16 +29,25 @@ struct render_scratch; /* opaque */
 TL_NODISCARD enum err render_scratch_new(struct render_scratch **out);
 void render_scratch_free(struct render_scratch *s);
 
+/* So many late pictures are noted in one run of a unit; what else it lacks, the next run finds. */
+enum { RENDER_LACKS_MAX = 64 };
+
 /* Renders one unit. `grid` and the spec inside `scene` are of the same job. `out` has
  * job_plane_count planes of grid_pixels(unit) floats: sums of radiance over the block's
  * samples, made in double, rounded once, then the AOVs' (aov.h), which change no bit of it. Sets
  * the thread's MXCSR for its time (round to nearest, no flush to zero). Returns ERR_CANCELLED soon
  * after *stop (may be NULL) became true, and ERR_NOMEM when a tree that a ray met could not be
- * built; then `out` is garbage. */
+ * built, ERR_NOT_FOUND when paths met pictures that are not there yet (render_lacks); then `out` is
+ * garbage. From the first of these on, only one sample of each group is followed, to find the
+ * others. */
 TL_NODISCARD enum err render_unit(const struct render_scene *scene, const struct grid *grid,
                                   struct unit unit, struct render_scratch *scratch,
                                   const atomic_bool *stop, float *out,
                                   struct render_counters *counters);
+
+/* The pictures, as numbers of the scene's images, that the unit lacked which has just ended with
+ * ERR_NOT_FOUND: at least one, each once. Valid until the scratch memory is used again. */
+size_t render_lacks(const struct render_scratch *s, const uint32_t **images);
 
 /* The bits of a start-up self-test of everything that decides bits (tracing, samplers, BSDFs,
  * transcendentals): part of the determinism id. */

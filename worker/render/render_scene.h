@@ -1,8 +1,8 @@
 /* worker/render/render_scene.h: the built scene, as the tracing core reads it.
  *
  * worker/scene makes it from a struct scene; render_unit only reads it, on any number
- * of threads. Everything lives in `arena`, but for the acceleration structure, and
- * borrows nothing from the scene it was made of.
+ * of threads, while late pictures are put in (texture.h). Everything lives in `arena`, but for the
+ * acceleration structure, and borrows nothing from the scene it was made of.
  *
  * Scene space: world space moved by -center and multiplied by `scale`, a power of two,
  * so that coordinates are about 1. Radiance and albedo are the same in both; point
@@ -64,6 +64,10 @@ struct render_scene {
     size_t material_count;
     struct texture *textures;
     size_t texture_count;
+    struct texture_image *images; /* of those that no texture shows nothing is set */
+    size_t image_count;
+    struct scene_late
+        *late; /* owned; what of them comes later (worker/scene/scene_late.h); or NULL */
     struct light_table lights;
     const uint32_t *object_lights;
 

@@ -52,18 +52,18 @@ static double clamp01(double x)
 /* Metallic-roughness and transmission at the point, as glTF packs them. */
 static void look_up_principled(const struct render_scene *scene, const struct material *m,
                                const struct surface *s, const struct texture_footprint *footprint,
-                               struct bsdf *b)
+                               bool lacks, struct bsdf *b)
 {
     b->metallic = m->metallic;
     b->roughness = m->roughness;
     b->transmission = m->transmission;
-    if (m->metallic_roughness_texture != SCENE_NONE) {
+    if (m->metallic_roughness_texture != SCENE_NONE && !lacks) {
         rgb t = texture_filtered(&scene->textures[m->metallic_roughness_texture], s->u, s->v,
                                  footprint);
         b->roughness *= clamp01(t.g);
         b->metallic *= clamp01(t.b);
     }
-    if (m->transmission_texture != SCENE_NONE) {
+    if (m->transmission_texture != SCENE_NONE && !lacks) {
         rgb t = texture_filtered(&scene->textures[m->transmission_texture], s->u, s->v, footprint);
         b->transmission *= clamp01(t.r);
     }
@@ -118,6 +118,20 @@ rgb shade_emission(const struct render_scene *scene, const struct hit *hit, cons
     return rgb_mul(texture_filtered(t, s->u, s->v, footprint ? &uv : NULL), color);
 }
 
+static bool is_there(const struct render_scene *scene, uint32_t texture)
+{
+    return texture == SCENE_NONE || texture_is_there(&scene->textures[texture]);
+}
+
+/* All or nothing: what comes while a hit is shaded is for the next one. */
+static bool lacks_pictures(const struct render_scene *scene, const struct material *m)
+{
+    return m->late &&
+           !(is_there(scene, m->texture) && is_there(scene, m->normal_texture) &&
+             is_there(scene, m->bump_texture) && is_there(scene, m->metallic_roughness_texture) &&
+             is_there(scene, m->transmission_texture));
+}
+
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
                   const struct footprint *footprint, struct shade *out)
 {
@@ -125,6 +139,7 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     struct surface *s = &out->surface;
     const struct material *m = &scene->materials[s->material];
     struct texture_footprint area, *uv = NULL;
+    out->lacks = lacks_pictures(scene, m);
     if (footprint && m->filtered) {
         footprint_uv(scene, hit, footprint, &area);
         uv = &area;
@@ -132,9 +147,9 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     vec3 wo = v3_neg(dir);
     out->smooth = s->ns;
     out->tilt_alpha2 = 0;
-    if (m->normal_texture != SCENE_NONE)
+    if (m->normal_texture != SCENE_NONE && !out->lacks)
         s->ns = mapped_normal(scene, m, s, uv);
-    if (m->bump_texture != SCENE_NONE)
+    if (m->bump_texture != SCENE_NONE && !out->lacks)
         s->ns = bumped_normal(scene, hit, s, uv);
     /* A shading normal seen from behind where the surface is seen from the front, or the other
      * way about, says nothing: the geometric one takes over. */
@@ -147,12 +162,12 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     out->wo = frame_to_local(&out->frame, wo);
     out->bsdf.material = m;
     out->bsdf.color = m->color;
-    if (m->texture != SCENE_NONE) {
+    if (m->texture != SCENE_NONE && !out->lacks) {
         rgb t = texture_filtered(&scene->textures[m->texture], s->u, s->v, uv);
         out->bsdf.color = rgb_mul(m->color, t);
     }
     if (m->vertex_colors)
         out->bsdf.color = rgb_mul(out->bsdf.color, s->color);
     if (m->type == SCENE_MATERIAL_PRINCIPLED)
-        look_up_principled(scene, m, s, uv, &out->bsdf);
+        look_up_principled(scene, m, s, uv, out->lacks, &out->bsdf);
 }

@@ -12,6 +12,7 @@ struct shade {
     frame frame; /* n is the shading normal */
     struct bsdf bsdf;
     vec3 wo;            /* local */
+    bool lacks;         /* pictures of the material are not there yet: it is shaded without any */
     bool bent;          /* the shading normal was of no use, the geometric one stands for it */
     vec3 smooth;        /* the normal before a normal map tilted it */
     double tilt_alpha2; /* roughness that goes with that tilt, squared; 0: none */

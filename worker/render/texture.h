@@ -14,6 +14,8 @@
 #ifndef WORKER_RENDER_TEXTURE_H
 #define WORKER_RENDER_TEXTURE_H
 
+#include <stdatomic.h>
+
 #include "common/scene.h"
 #include "worker/render/vec.h"
 
@@ -33,8 +35,11 @@ struct texture_level {
     uint8_t tile_shift[2]; /* log2 of a tile's sides: 0 where the level is narrower than a tile */
 };
 
-/* Level 0 is the picture; each next has half its sides, rounded down, to 1 x 1. */
+/* Level 0 is the picture; each next has half its sides, rounded down, to 1 x 1. While it is
+ * `absent`, nothing else of it may be read: a late picture comes while units are rendered, and then
+ * stays. */
 struct texture_image {
+    atomic_bool absent;
     enum scene_image_format format;
     uint32_t channel_count;
     bool opaque;          /* no opacity is looked up, or it is 1 everywhere */
@@ -42,6 +47,7 @@ struct texture_image {
     struct texture_level levels[TEXTURE_LEVELS_MAX];
 };
 
+/* A look-up needs texture_is_there. */
 struct texture {
     enum scene_texture_type type;
     enum scene_texture_filter filter;
@@ -79,6 +85,12 @@ static inline size_t texture_row(const struct texture_level *l, uint32_t y)
 static inline size_t texture_place(const struct texture_level *l, uint32_t x, uint32_t y)
 {
     return texture_column(l, x) + texture_row(l, y);
+}
+
+/* Whether the texture can be looked up: false for one of a picture that has not come yet. */
+static inline bool texture_is_there(const struct texture *t)
+{
+    return !t->image || !atomic_load_explicit(&t->image->absent, memory_order_acquire);
 }
 
 /* One texel, decoded to linear: c[0..2] colour (grey three times), c[3] the fourth channel, 1 when

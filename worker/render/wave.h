@@ -79,6 +79,11 @@ struct render_scratch {
     double means[WAVE_PATHS][AOV_MEAN_PLANES_MAX];
 
     uint64_t ray_count; /* cast so far in this unit */
+
+    /* Pictures that paths of this unit have met and that are not there yet: numbers of the scene's
+     * images, each once. */
+    uint32_t lacks[RENDER_LACKS_MAX];
+    uint32_t lack_count;
 };
 
 /* The sets of the sampler. A direction and the light point at the vertex that it leads to are drawn
@@ -113,6 +118,11 @@ void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target,
 
 /* Casts the shadow rays, adds what arrives, and forgets them. */
 void wave_gather(const struct render_scene *scene, struct render_scratch *w);
+
+/* shade_of_hit of ray i; late pictures of it that are not there are noted, and the path goes on
+ * with whatever shade_of_hit gives. */
+void wave_shade(const struct render_scene *scene, struct render_scratch *w, uint32_t i,
+                const struct footprint *footprint, struct shade *out);
 
 /* Moves the footprint of the path of ray i to its hit; NULL where nothing is filtered. */
 struct footprint *wave_arrive(const struct render_scene *scene, struct render_scratch *w,

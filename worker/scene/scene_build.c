@@ -120,7 +120,7 @@ static enum err build(struct render_scene *rs, const struct scene *scene,
     if (scene->uvs_left_out && aov_has(rs->spec.aov, AOV_UV))
         return ERR_INPUT;
     TL_TRY(scene_build_geometry(rs, scene));
-    TL_TRY(scene_build_materials(rs, scene));
+    TL_TRY(scene_build_materials(rs, scene, how->late));
     TL_TRY(scene_build_lights(rs, scene));
     rs->scene_camera = scene->camera;
     aim(rs);
@@ -185,6 +185,7 @@ bool render_scene_free(struct render_scene *rs)
     if (owner->accel)
         accel_free(owner->accel);
     scene_locks_free(owner->locks);
+    scene_late_free(owner->late);
     arena_release(&owner->arena);
     mem_free(owner);
     return true;
@@ -199,7 +200,7 @@ size_t render_scene_bytes(const struct render_scene *rs)
 {
     struct accel_stats stats;
     accel_stats_get(rs->accel, &stats);
-    return sizeof *rs + rs->arena.total_bytes + (size_t)stats.bytes;
+    return sizeof *rs + rs->arena.total_bytes + scene_late_bytes(rs->late) + (size_t)stats.bytes;
 }
 
 struct accel *render_scene_accel(const struct render_scene *rs)

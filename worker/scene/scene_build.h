@@ -12,6 +12,7 @@
 #ifndef WORKER_SCENE_SCENE_BUILD_H
 #define WORKER_SCENE_SCENE_BUILD_H
 
+#include "common/digest.h"
 #include "common/scene.h"
 #include "worker/render/render.h"
 #include "worker/render/accel_lazy.h"
@@ -33,6 +34,13 @@ struct scene_trees {
     void *ctx;
 };
 
+/* Where a late picture is to be had. */
+struct late_chunk {
+    bool late;
+    digest name;    /* of its chunk */
+    uint64_t bytes; /* of that, plain */
+};
+
 /* How scene_build_as goes about it; zeros: as scene_build. */
 struct scene_building {
     const struct accel_runner *runner; /* or NULL */
@@ -44,6 +52,10 @@ struct scene_building {
     /* Objects of so many triangles may have their trees built when a ray first meets them, by the
      * render thread (accel_lazy.h); such trees are not kept. 0: none. */
     uint32_t lazy_triangles_min;
+
+    /* For each image, whether it comes later (scene_late.h): then it may be empty now. Not of one
+     * that building reads (package_late.h). Lent for the call. NULL: none does. */
+    const struct late_chunk *late;
 };
 
 TL_NODISCARD enum err scene_build_as(const struct scene *scene, const struct job_spec *spec,

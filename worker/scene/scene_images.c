@@ -1,17 +1,11 @@
 /* Images of a scene to what shading reads: tiled copies, and pyramids of averages where a texture
- * is filtered. Memory is the scene's arena. One thread. */
+ * is filtered. Memory is the scene's arena, or a late picture's own. One thread an image. */
 #include "worker/scene/scene_parts.h"
 
 #include <string.h>
 
 #include "common/scene_plan.h"
 #include "worker/render/srgb_table.h"
-
-/* What the objects of a scene need of one image. */
-struct image_use {
-    bool used, pyramid;
-    bool weighed; /* its colours count by their opacity */
-};
 
 /* --- Texels ---------------------------------------------------------------- */
 
@@ -122,7 +116,7 @@ static void average(const struct source *from, struct share across, struct share
         out[k] = (float)(by_opacity && k < 3 ? seen[k] / opacity : plain[k]);
 }
 
-static enum err add_level(struct render_scene *rs, struct texture_image *image,
+static enum err add_level(struct arena *arena, struct texture_image *image,
                           const struct plane *above, bool weighed, struct plane *out)
 {
     const struct texture_level *last = &image->levels[image->level_count - 1];
@@ -132,7 +126,7 @@ static enum err add_level(struct render_scene *rs, struct texture_image *image,
     uint32_t height = last->height > 1 ? last->height / 2 : 1;
     texture_level_init(level, width, height);
     size_t bytes = sample_bytes(image->format) * channels;
-    void *texels = arena_alloc(&rs->arena, texture_level_texels(level), bytes);
+    void *texels = arena_alloc(arena, texture_level_texels(level), bytes);
     *out = (struct plane){width, height,
                           mem_alloc_array((size_t)width * height * channels, sizeof(float))};
     if (!texels || !out->samples)
@@ -152,7 +146,7 @@ static enum err add_level(struct render_scene *rs, struct texture_image *image,
 }
 
 /* Each level comes from the one above before that was rounded to the picture's format. */
-static enum err add_pyramid(struct render_scene *rs, struct texture_image *image, bool weighed)
+static enum err add_pyramid(struct arena *arena, struct texture_image *image, bool weighed)
 {
     struct plane above = {0};
     enum err e = ERR_OK;
@@ -161,7 +155,7 @@ static enum err add_pyramid(struct render_scene *rs, struct texture_image *image
         if (last->width == 1 && last->height == 1)
             break;
         struct plane next;
-        e = add_level(rs, image, &above, weighed, &next);
+        e = add_level(arena, image, &above, weighed, &next);
         mem_free(above.samples);
         above = next;
     }
@@ -171,7 +165,7 @@ static enum err add_pyramid(struct render_scene *rs, struct texture_image *image
 
 /* --- Images ---------------------------------------------------------------- */
 
-static enum err copy_tiled(struct render_scene *rs, const struct scene_image *from,
+static enum err copy_tiled(struct arena *arena, const struct scene_image *from,
                            struct texture_image *out)
 {
     size_t bytes = sample_bytes(from->format) * from->channel_count;
@@ -179,7 +173,7 @@ static enum err copy_tiled(struct render_scene *rs, const struct scene_image *fr
         .format = from->format, .channel_count = from->channel_count, .level_count = 1};
     struct texture_level *level = &out->levels[0];
     texture_level_init(level, from->width, from->height);
-    unsigned char *texels = arena_alloc(&rs->arena, texture_level_texels(level), bytes);
+    unsigned char *texels = arena_alloc(arena, texture_level_texels(level), bytes);
     if (!texels)
         return ERR_NOMEM;
     const unsigned char *row = from->pixels;
@@ -231,23 +225,31 @@ static void mark_uses(const struct scene *scene, struct image_use *uses)
     }
 }
 
+enum err texture_image_make(struct arena *arena, const struct scene_image *from,
+                            const struct image_use *use, struct texture_image *out)
+{
+    TL_TRY(copy_tiled(arena, from, out));
+    out->opaque = !use->weighed || is_opaque(from);
+    return use->pyramid ? add_pyramid(arena, out, use->weighed) : ERR_OK;
+}
+
 enum err scene_build_images(struct render_scene *rs, const struct scene *scene,
-                            struct texture_image **out)
+                            const struct late_chunk *late)
 {
     struct image_use *uses = mem_calloc(scene->image_count, sizeof *uses);
-    struct texture_image *images = arena_alloc(&rs->arena, scene->image_count, sizeof *images);
-    enum err e = uses && images ? ERR_OK : ERR_NOMEM;
+    rs->images = arena_alloc(&rs->arena, scene->image_count, sizeof *rs->images);
+    rs->image_count = scene->image_count;
+    enum err e = uses && rs->images ? scene_late_new(rs, scene, late) : ERR_NOMEM;
     if (e == ERR_OK)
         mark_uses(scene, uses);
-    for (size_t i = 0; e == ERR_OK && i < scene->image_count; i++) {
+    for (uint32_t i = 0; e == ERR_OK && i < scene->image_count; i++) {
         if (!uses[i].used)
             continue;
-        e = copy_tiled(rs, &scene->images[i], &images[i]);
-        images[i].opaque = !uses[i].weighed || is_opaque(&scene->images[i]);
-        if (e == ERR_OK && uses[i].pyramid)
-            e = add_pyramid(rs, &images[i], uses[i].weighed);
+        if (late && late[i].late)
+            scene_late_leave_out(rs, i, &uses[i]);
+        else
+            e = texture_image_make(&rs->arena, &scene->images[i], &uses[i], &rs->images[i]);
     }
     mem_free(uses);
-    *out = images;
     return e;
 }

@@ -119,6 +119,12 @@ static bool is_filtered(const struct render_scene *rs, uint32_t texture)
            rs->textures[texture].type != SCENE_TEXTURE_CONSTANT;
 }
 
+/* True if a lookup may have to wait for its picture. */
+static bool is_late(const struct render_scene *rs, uint32_t texture)
+{
+    return texture != SCENE_NONE && !texture_is_there(&rs->textures[texture]);
+}
+
 static void make_materials(struct render_scene *rs, const struct scene *scene)
 {
     bool shows_uv = aov_has(rs->spec.aov, AOV_UV);
@@ -132,6 +138,9 @@ static void make_materials(struct render_scene *rs, const struct scene *scene)
                       is_filtered(rs, m->metallic_roughness_texture) ||
                       is_filtered(rs, m->transmission_texture) ||
                       is_filtered(rs, m->normal_texture) || is_filtered(rs, m->bump_texture);
+        m->late = is_late(rs, m->texture) || is_late(rs, m->metallic_roughness_texture) ||
+                  is_late(rs, m->transmission_texture) || is_late(rs, m->normal_texture) ||
+                  is_late(rs, m->bump_texture);
         m->bump_scale = from->bump_scale * rs->scale;
     }
     rs->materials[scene->material_count] = (struct material){.type = SCENE_MATERIAL_BLACK,
@@ -149,10 +158,10 @@ static bool reads_alphas(const struct scene *scene, const struct scene_object *o
            scene->meshes[o->mesh].alphas;
 }
 
-enum err scene_build_materials(struct render_scene *rs, const struct scene *scene)
+enum err scene_build_materials(struct render_scene *rs, const struct scene *scene,
+                               const struct late_chunk *late)
 {
-    struct texture_image *images;
-    TL_TRY(scene_build_images(rs, scene, &images));
+    TL_TRY(scene_build_images(rs, scene, late));
     rs->texture_count = scene->texture_count;
     rs->textures = arena_alloc(&rs->arena, scene->texture_count, sizeof *rs->textures);
     rs->material_count = scene->material_count + 1;
@@ -160,7 +169,7 @@ enum err scene_build_materials(struct render_scene *rs, const struct scene *scen
     if (!rs->textures || !rs->materials)
         return ERR_NOMEM;
     for (size_t i = 0; i < scene->texture_count; i++)
-        make_texture(&scene->textures[i], images, &rs->textures[i]);
+        make_texture(&scene->textures[i], rs->images, &rs->textures[i]);
     make_materials(rs, scene);
     for (size_t i = 0; i < scene->object_count; i++) {
         uint32_t material = scene->objects[i].material;

@@ -6,17 +6,37 @@
 #define WORKER_SCENE_SCENE_PARTS_H
 
 #include "worker/render/render_scene.h"
+#include "worker/scene/scene_build.h"
+
+/* What the objects of a scene need of one image. */
+struct image_use {
+    bool used, pyramid;
+    bool weighed; /* its colours count by their opacity */
+};
 
 /* Centre, scale, meshes, objects. ERR_LIMIT for an extent beyond double. */
 TL_NODISCARD enum err scene_build_geometry(struct render_scene *rs, const struct scene *scene);
 
-/* The images that textures use, as the tracing core reads them: one for each of the scene's; of
- * those unused nothing is set. */
+/* The images that textures use, as the tracing core reads them, into rs->images: one for each of
+ * the scene's; of those unused nothing is set, and those that are late are absent. */
 TL_NODISCARD enum err scene_build_images(struct render_scene *rs, const struct scene *scene,
-                                         struct texture_image **out);
+                                         const struct late_chunk *late);
+
+/* One image with what is looked up of it. Memory is the arena's; nothing else is touched. */
+TL_NODISCARD enum err texture_image_make(struct arena *arena, const struct scene_image *from,
+                                         const struct image_use *use, struct texture_image *out);
+
+/* rs->late, if anything is late; before scene_build_images, which tells it of each late image that
+ * is used. */
+TL_NODISCARD enum err scene_late_new(struct render_scene *rs, const struct scene *scene,
+                                     const struct late_chunk *late);
+void scene_late_leave_out(struct render_scene *rs, uint32_t image, const struct image_use *use);
+void scene_late_free(struct scene_late *late); /* NULL: nothing to do */
+size_t scene_late_bytes(const struct scene_late *late);
 
 /* Textures and materials. */
-TL_NODISCARD enum err scene_build_materials(struct render_scene *rs, const struct scene *scene);
+TL_NODISCARD enum err scene_build_materials(struct render_scene *rs, const struct scene *scene,
+                                            const struct late_chunk *late);
 
 /* Area lights of the objects, the lights of the scene, the environment. After the others. */
 TL_NODISCARD enum err scene_build_lights(struct render_scene *rs, const struct scene *scene);
