@@ -8,6 +8,7 @@
 #include "client/predict.h"
 #include "common/json_put.h"
 #include "common/mem.h"
+#include "common/package_late.h"
 #include "common/scene_plan.h"
 
 enum { CHUNKS_SHOWN = 12 };
@@ -17,6 +18,7 @@ struct facts {
     struct scene_plan plan;
     struct scene_plan_memory memory;
     struct scene_plan_lazy lazy;
+    uint64_t late_pictures, late_bytes; /* sent when a path of light meets them */
     uint64_t triangles, triangles_drawn, vertices, spheres, lights;
     uint64_t plain_bytes, left_bytes, sent_bytes;
     uint64_t *chunk_sent;               /* of each chunk, as one zstd frame */
@@ -40,6 +42,26 @@ static void count_scene(struct facts *f, const struct scene *s)
     f->lights += s->light_count;
 }
 
+/* Which pictures a worker fetches when it needs them: by its own rule, from the root. */
+static bool count_late(struct facts *f, const struct package *p)
+{
+    struct scene tables;
+    struct package_index index;
+    if (package_tables_read(p->chunks[0].data, p->chunks[0].bytes, &tables, &index) != ERR_OK)
+        return false;
+    TL_ASSERT(index.count + 1 == p->count);
+    bool *late = mem_calloc(index.count, sizeof *late);
+    if (late)
+        f->late_pictures = package_late_choose(&tables, &index, late);
+    for (size_t i = 0; late && i < index.count; i++)
+        f->late_bytes += late[i] ? f->chunk_sent[i + 1] : 0;
+    bool ok = late != NULL;
+    mem_free(late);
+    scene_release(&tables);
+    package_index_release(&index);
+    return ok;
+}
+
 /* Compresses each chunk once, as the client does before it sends them. */
 static bool count_package(struct facts *f, const struct package *p)
 {
@@ -56,7 +78,7 @@ static bool count_package(struct facts *f, const struct package *p)
     }
     for (int i = 0; i < PACKAGE_LEFT_COUNT; i++)
         f->left_bytes += p->left[i].bytes;
-    return ok && f->chunk_sent;
+    return ok && f->chunk_sent && count_late(f, p);
 }
 
 static const char *kind_name(enum package_kind kind)
@@ -126,9 +148,11 @@ static void put_json(const struct facts *f, struct buf *out)
                (unsigned long long)f->memory.geometry, (unsigned long long)f->memory.images);
     buf_printf(out,
                "\"lazy\":{\"objects\":%llu,\"triangles\":%llu},"
+               "\"late\":{\"pictures\":%llu,\"sent\":%llu},"
                "\"triangles\":%llu,\"triangles_instanced\":%llu,\"vertices\":%llu,"
                "\"spheres\":%llu,\"lights\":%llu,\"chunks\":[",
                (unsigned long long)f->lazy.objects, (unsigned long long)f->lazy.triangles,
+               (unsigned long long)f->late_pictures, (unsigned long long)f->late_bytes,
                (unsigned long long)f->triangles, (unsigned long long)f->triangles_drawn,
                (unsigned long long)f->vertices, (unsigned long long)f->spheres,
                (unsigned long long)f->lights);
@@ -261,13 +285,20 @@ static void put_memory(const struct facts *f, struct buf *out)
     human_bytes((double)f->memory.images, d);
     buf_printf(out, "memory    about %s in each worker: tree %s, vertices %s, pictures %s\n", a, b,
                c, d);
-    if (f->lazy.objects == 0)
-        return;
-    human_count((double)f->lazy.triangles, c);
-    buf_printf(out,
-               "          at most: the trees of %llu objects, %s triangles, are built when a ray "
-               "first meets them\n",
-               (unsigned long long)f->lazy.objects, c);
+    if (f->lazy.objects > 0) {
+        human_count((double)f->lazy.triangles, c);
+        buf_printf(out,
+                   "          at most: the trees of %llu objects, %s triangles, are built when a "
+                   "ray first meets them\n",
+                   (unsigned long long)f->lazy.objects, c);
+    }
+    if (f->late_pictures > 0) {
+        human_bytes((double)f->late_bytes, c);
+        buf_printf(out,
+                   "          at most: %llu pictures, sent as %s, are fetched when a path of light "
+                   "first meets them\n",
+                   (unsigned long long)f->late_pictures, c);
+    }
 }
 
 static void put_text(const struct facts *f, struct buf *out)

@@ -1,11 +1,12 @@
 """Late pictures on real farms: the same bits, fewer bytes, whatever happens while they come."""
+import json
 import subprocess
 import sys
 import time
 
 import pytest
 
-from farm import ROOT, Farm, wait_until
+from farm import ROOT, Farm, tilery, wait_until
 from proxy import Proxy
 
 ROOMS, SIDE = 12, 700  # 12 pictures of 1.47 MB: just over what makes them late
@@ -61,6 +62,16 @@ def test_a_wall_of_pictures_brings_them_all_once(farm, gallery, eager):
     report = farm.wait_job(farm.submit(gallery / "wall.json", *OPTIONS), timeout=120)
     assert report["image_sha256"] == eager["wall"]["image_sha256"]
     assert report["bytes"]["scene_sent"] == eager["wall"]["bytes"]["scene_sent"]
+
+
+def test_explain_tells_of_them(gallery, eager):
+    facts = json.loads(tilery("explain", gallery / "rooms.json", "--json").stdout)
+    assert facts["late"]["pictures"] == ROOMS
+    assert 0.9 * facts["bytes"]["package"] < facts["late"]["sent"] < facts["bytes"]["package"]
+    said = tilery("explain", gallery / "rooms.json").stdout
+    assert f"{ROOMS} pictures, sent as" in said, said
+    said = tilery("explain", ROOT / "scenes/cbox.json").stdout
+    assert "are fetched when" not in said, said
 
 
 def test_jobs_on_one_scene_share_what_came(farm, gallery, eager):
