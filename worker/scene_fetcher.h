@@ -11,7 +11,7 @@
  *
  * Late pictures (package_late.h) are left out of a load. scene_fetcher_bring gets those that units
  * have met: each is asked for once, however many units wait for it, before what a load asks for;
- * read from the cache if it is there, made ready on the service thread, and put into the scene.
+ * read from the cache if it is there, made ready on threads that are free, and put into the scene.
  *
  * A load survives the loss of the connection and goes on with the next one.
  * Thread: the loop's; its tasks run on the pool's service thread.

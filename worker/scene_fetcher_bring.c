@@ -1,6 +1,5 @@
 /* Late pictures on their way into scenes. Owns each from the first unit that asks for it until it
- * is in the scene; see scene_fetcher.h. Thread: the loop's, but for run_bring on the service
- * thread. */
+ * is in the scene; see scene_fetcher.h. Thread: the loop's, but for run_bring on the pool's. */
 #include "worker/scene_fetcher_impl.h"
 
 #include <stdio.h>
@@ -32,7 +31,7 @@ static void end(struct bring *b, enum err error, const char *what, uint64_t rece
     fetcher_ask(l);
 }
 
-/* --- On the service thread --------------------------------------------------------- */
+/* --- On a thread of the pool -------------------------------------------------------- */
 
 /* The plain chunk from the frame that came, or from the cache. */
 static enum err get_chunk(struct bring *b, struct buf *plain)
@@ -100,12 +99,23 @@ static void done_bring(struct pool_task *task)
     end(b, b->error, b->what, received_bytes);
 }
 
+/* A render thread that has nothing to do, if there is one; else the service thread. */
+static enum pool_kind maker_of(const struct scene_fetcher *l)
+{
+    uint32_t threads = pool_thread_count(l->pool), busy = pool_busy(l->pool), given = 0;
+    const struct bring *b;
+    TAILQ_FOREACH(b, &l->brings, in_brings)
+    given += b->state == BRING_MAKING && b->task.kind == POOL_RENDER;
+    return busy < threads && given < threads ? POOL_RENDER : POOL_SERVICE;
+}
+
 static void make(struct bring *b)
 {
+    enum pool_kind kind = maker_of(b->loader);
     b->state = BRING_MAKING;
     b->error = ERR_OK;
     b->lost = false;
-    b->task = (struct pool_task){.run = run_bring, .done = done_bring, .kind = POOL_SERVICE};
+    b->task = (struct pool_task){.run = run_bring, .done = done_bring, .kind = kind};
     pool_submit(b->loader->pool, &b->task);
 }
 
@@ -209,8 +219,8 @@ void scene_fetcher_forget(struct scene_fetcher *l, const void *job)
             continue;
         b->job = NULL;
         b->scene = NULL;
-        /* What is on its way comes, and what is being made ends; nobody hears of it. The pool is not
-         * asked: it may be closed. */
+        /* What is on its way comes, and what is being made ends; nobody hears of it. The pool is
+         * not asked: it may be closed. */
         if (b->state == BRING_NEEDED)
             free_bring(b);
     }

@@ -86,7 +86,7 @@ struct bring {
     unsigned char *frame; /* as it came; NULL: it is in the cache */
     size_t frame_bytes;
 
-    /* Written by the service thread, read by the loop in `done`. */
+    /* Written by a thread of the pool, read by the loop in `done`. */
     enum err error;
     bool lost;        /* the cache does not have it after all, or it came damaged */
     const char *what; /* went wrong */
