@@ -8,6 +8,7 @@ import pytest
 
 from farm import ROOT, Farm, tilery, wait_until
 from proxy import Proxy
+from wire_peer import HEADER, NAMES
 
 ROOMS, SIDE = 12, 700  # 12 pictures of 1.47 MB: just over what makes them late
 
@@ -182,6 +183,50 @@ def test_a_picture_that_nobody_has_fails_the_job(farm, gallery):
     assert "cannot render this job: chunk " in said, said
     assert "the master does not have it" in worker.log()
     assert worker.process.poll() is None
+
+
+def damage(count):
+    """The first `count` pictures come with a byte wrong, in frames that are as good as any."""
+    left = [count]
+
+    def fault(link, direction, data):
+        if direction == "up":
+            link.pass_on(direction, data)
+            return
+        buffer = link.state.get("buffer", b"") + data
+        while len(buffer) >= HEADER.size:
+            _, _, kind, _, _, meta, body = HEADER.unpack_from(buffer)
+            size = HEADER.size + meta + body
+            if len(buffer) < size:
+                break
+            whole, buffer = bytearray(buffer[:size]), buffer[size:]
+            if NAMES.get(kind) == "ChunkData" and body > 500_000 and left[0] > 0:
+                whole[size - body // 2] ^= 1
+                left[0] -= 1
+                link.struck()
+            link.pass_on(direction, bytes(whole))
+        link.state["buffer"] = buffer
+    return fault
+
+
+def test_a_damaged_picture_is_asked_for_again(farm, gallery, eager):
+    with Proxy(farm.listen, damage(2)) as proxy:
+        worker = farm.worker(threads=2, master=proxy.address)
+        report = farm.wait_job(farm.submit(gallery / "rooms.json", *OPTIONS), timeout=120)
+        assert proxy.injected == 2
+        assert worker.process.poll() is None
+    assert report["image_sha256"] == eager["rooms"]["image_sha256"]
+
+
+def test_one_that_always_comes_damaged_fails_the_job(farm, gallery):
+    with Proxy(farm.listen, damage(1000)) as proxy:
+        worker = farm.worker(threads=2, master=proxy.address)
+        job = farm.submit(gallery / "rooms.json", *OPTIONS)
+        report = farm.wait_job(job, state="failed", timeout=120)
+        assert proxy.injected >= 3
+        assert worker.process.poll() is None
+    said = "\n".join(event["text"] for event in report["events"])
+    assert "came damaged each time" in said, said
 
 
 def test_memory_for_less_than_the_pictures(farm, gallery, eager):

@@ -225,6 +225,48 @@ static void in_aovs_too(void **state)
     with_integrator(JOB_INTEGRATOR_AO, 1u << AOV_ALBEDO | 1u << AOV_NORMAL | 1u << AOV_DEPTH);
 }
 
+/* More pictures than the list holds: the next run finds those that found no room. */
+static void a_long_list_takes_more_runs(void **state)
+{
+    (void)state;
+    enum { WALL = 10, COUNT = WALL * WALL };
+    struct scene s;
+    scene_init(&s);
+    for (uint32_t i = 0; i < COUNT; i++)
+        add_shown(&s, i, i % WALL - WALL / 2.0, i / WALL - WALL / 2.0, 0);
+    kit_emit(&s, kit_sphere(&s, 0, 0, 20, 0.5, kit_diffuse(&s, 0, 0, 0)), 60, 60, 60);
+    const double camera[3] = {0, 0, 16}, at[3] = {0, 0, 0};
+    memcpy(s.camera.position, camera, sizeof camera);
+    memcpy(s.camera.look_at, at, sizeof at);
+    struct job_spec spec = kit_spec(8 * WALL, 2);
+    struct late_chunk chunks[COUNT] = {{0}};
+    for (size_t i = 0; i < COUNT; i++)
+        chunks[i].late = true;
+    struct scene_building how = {.late = chunks};
+    struct render_scene *rs;
+    assert_int_equal(scene_build_as(&s, &spec, &how, &rs), ERR_OK);
+    struct unit_run late;
+    run_init(&late, &spec, 1, 0);
+    size_t left = COUNT;
+    while (run(&late, rs) == ERR_NOT_FOUND) {
+        const uint32_t *lacks;
+        struct picture_need need;
+        struct picture *picture;
+        size_t count = render_lacks(late.scratch, &lacks);
+        assert_int_equal(count, left < RENDER_LACKS_MAX ? left : RENDER_LACKS_MAX);
+        for (size_t i = 0; i < count; i++) {
+            assert_true(render_scene_need(rs, lacks[i], &need)); /* each once */
+            assert_int_equal(picture_make(&need, &s.images[lacks[i]], &picture), ERR_OK);
+            render_scene_put(rs, lacks[i], picture);
+        }
+        left -= count;
+    }
+    assert_int_equal(left, 0);
+    run_release(&late);
+    render_scene_free(rs);
+    scene_release(&s);
+}
+
 /* A surface that is only met where a path ends shows nothing. */
 static void the_last_vertex_lacks_nothing(void **state)
 {
@@ -371,6 +413,7 @@ int main(void)
         cmocka_unit_test(what_is_lacked_makes_the_same_bits),
         cmocka_unit_test(in_direct_light_too),
         cmocka_unit_test(in_aovs_too),
+        cmocka_unit_test(a_long_list_takes_more_runs),
         cmocka_unit_test(the_last_vertex_lacks_nothing),
         cmocka_unit_test(jobs_share_pictures),
         cmocka_unit_test(pictures_come_while_others_render),
