@@ -5,6 +5,7 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <strings.h>
 #include <unistd.h>
 
 #include "client/cli_help.h"
@@ -115,10 +116,30 @@ static int would_replace(const char *typed, const char *path, const char *what)
     return EXIT_USAGE;
 }
 
+static bool ends_in(const char *path, const char *suffix)
+{
+    size_t bytes = strlen(path), n = strlen(suffix);
+    return bytes > n && strcasecmp(path + bytes - n, suffix) == 0;
+}
+
+/* What a picture's file holds is told by its name. */
+static bool ending_fits(const struct cli_line *line, enum cli_option_id id)
+{
+    bool exr = id == CLI_OUTPUT && (line->command == CLI_RENDER || line->command == CLI_SUBMIT);
+    const char *suffix = exr ? ".exr" : id == CLI_PNG ? ".png" : NULL;
+    if (!suffix || !cli_has(line, id) || ends_in(cli_text(line, id), suffix))
+        return true;
+    cli_error("bad-value", exr ? "for looking at there is --png OUT.png" : NULL,
+              "%s %s: must end in %s", cli_typed(line, id), cli_text(line, id), suffix);
+    return false;
+}
+
 int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
         const char *path = cli_has(line, ids[i]) ? cli_text(line, ids[i]) : NULL;
+        if (!ending_fits(line, ids[i]))
+            return EXIT_USAGE;
         for (size_t k = 0; path && k < i; k++) {
             if (cli_has(line, ids[k]) && out_file_same(path, cli_text(line, ids[k]))) {
                 cli_error("bad-value", NULL, "%s is named twice", path);
@@ -135,7 +156,8 @@ int cli_check_outputs(const struct cli_line *line, const enum cli_option_id *ids
         const char *path = cli_has(line, ids[i]) ? cli_text(line, ids[i]) : NULL;
         /* Reports and heat maps are text and PNG, which pipes and /dev/stdout take as well. */
         bool streams = ids[i] == CLI_REPORT || ids[i] == CLI_HEATMAP;
-        if (!path || (streams && out_file_is_stream(path)))
+        if (!path || (streams && out_file_is_stream(path)) ||
+            (ids[i] == CLI_REPORT && strcmp(path, "-") == 0))
             continue;
         enum err e = out_file_check(path, 0);
         if (e != ERR_OK)

@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { COLUMNS = 80, SECTION_COLUMNS = 10 };
+enum { COLUMNS = 80, SECTION_COLUMNS = 10, HELP_COLUMN = 37 };
 
 static const char *const command_sections[] = {"here", "jobs", "workers"};
 
@@ -122,6 +122,24 @@ static void put_choices(const struct cli_option *o, struct buf *out)
         buf_printf(out, "%s %s", i ? "," : "", o->choices[i]);
 }
 
+/* The text of an option behind its name, wrapped. */
+static void put_wrapped(const char *text, struct buf *out)
+{
+    int column = HELP_COLUMN;
+    while (*text) {
+        int bytes = (int)strcspn(text, " ");
+        if (column > HELP_COLUMN && column + 1 + bytes > COLUMNS) {
+            buf_printf(out, "\n%*s", HELP_COLUMN, "");
+            column = HELP_COLUMN;
+        }
+        buf_printf(out, "%s%.*s", column > HELP_COLUMN ? " " : "", bytes, text);
+        column += bytes + (column > HELP_COLUMN);
+        text += bytes;
+        text += strspn(text, " ");
+    }
+    buf_printf(out, "\n");
+}
+
 void cli_help_long(enum cli_command_id id, struct buf *out)
 {
     buf_printf(out, "tilery %s: %s\n", cli_commands[id].name, cli_commands[id].summary);
@@ -130,12 +148,18 @@ void cli_help_long(enum cli_command_id id, struct buf *out)
     for (int i = 0; i < CLI_OPTION_COUNT; i++) {
         const struct cli_option *o = &cli_options[i];
         char text[100];
+        struct buf help;
         if (!(o->commands >> id & 1))
             continue;
         option_text(o, text, sizeof text);
-        buf_printf(out, "  %-34s %s", text, o->help);
-        put_choices(o, out);
-        buf_printf(out, "\n");
+        buf_init(&help);
+        buf_printf(&help, "%s", o->help);
+        put_choices(o, &help);
+        buf_put_u8(&help, '\0');
+        buf_printf(out, "  %-*s ", HELP_COLUMN - 3, text);
+        if (buf_status(&help) == ERR_OK)
+            put_wrapped((const char *)help.data, out);
+        buf_release(&help);
     }
 }
 

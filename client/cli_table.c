@@ -358,7 +358,7 @@ const struct cli_option cli_options[CLI_OPTION_COUNT] = {
                     .argument = "FILE",
                     .section = "output",
                     .commands = MAKERS,
-                    .help = "the measurements of the render as JSON"},
+                    .help = "the measurements of the render as JSON; -: standard output"},
     [CLI_JSON] = {.name = "json",
                   .kind = CLI_FLAG,
                   .section = "output",

@@ -2,6 +2,7 @@
 #include <errno.h>
 #include <limits.h>
 #include <string.h>
+#include <strings.h>
 
 #include "client/command.h"
 #include "client/frames.h"
@@ -13,7 +14,7 @@ static const char *what_of(const struct cli *cli)
 {
     const char *path = cli_text(&cli->line, CLI_OUTPUT);
     const char *dot = strrchr(path, '.');
-    bool exr = dot && strcmp(dot, ".exr") == 0, png = dot && strcmp(dot, ".png") == 0;
+    bool exr = dot && strcasecmp(dot, ".exr") == 0, png = dot && strcasecmp(dot, ".png") == 0;
     if (!exr && !png)
         cli_error("bad-value", NULL, "-o %s: must end in .exr or .png", path);
     else if (png && cli_flag(&cli->line, CLI_HALF))

@@ -214,7 +214,9 @@ static bool print_status(const struct cli *cli, const struct farm *f, const stru
 
 bool command_put_reply(const struct farm *f)
 {
-    return cli_put((const char *)f->reply.body.data, f->reply.body.bytes) && cli_put("\n", 1);
+    const struct buf *body = &f->reply.body;
+    bool ended = body->bytes > 0 && body->data[body->bytes - 1] == '\n';
+    return cli_put((const char *)body->data, body->bytes) && (ended || cli_put("\n", 1));
 }
 
 int command_status(struct cli *cli)

@@ -44,12 +44,6 @@ struct render {
     int status; /* set by a hook that stops the wait */
 };
 
-static bool ends_in(const char *path, const char *suffix)
-{
-    size_t a = strlen(path), b = strlen(suffix);
-    return a > b && strcmp(path + a - b, suffix) == 0;
-}
-
 /* What is verified needs a second worker. */
 static uint32_t worker_count(const struct cli_line *line)
 {
@@ -75,11 +69,6 @@ static int check_line(const struct cli_line *line)
     if (!cli_has(line, CLI_OUTPUT)) {
         cli_error("missing-option", "as in tilery render scene.json -o out.exr",
                   "render needs -o OUT.exr");
-        return EXIT_USAGE;
-    }
-    if (!ends_in(cli_text(line, CLI_OUTPUT), ".exr")) {
-        cli_error("bad-value", "for looking at there is --png OUT.png", "-o %s: must end in .exr",
-                  cli_text(line, CLI_OUTPUT));
         return EXIT_USAGE;
     }
     int status = cli_check_outputs(line, ids, 3);

@@ -34,6 +34,8 @@ static int write_report(const struct farm *farm, const struct cli *cli)
     if (!cli_has(&cli->line, CLI_REPORT))
         return EXIT_DONE;
     const char *path = cli_text(&cli->line, CLI_REPORT);
+    if (strcmp(path, "-") == 0)
+        return command_put_reply(farm) ? EXIT_DONE : EXIT_MACHINE;
     enum err e = file_write(path, farm->reply.body.data, farm->reply.body.bytes);
     return e == ERR_OK ? EXIT_DONE : cli_cannot_write(path, e, 0, 0, NULL);
 }

@@ -31,6 +31,16 @@ static void add_note(struct text_table *t, const struct json *w)
     buf_release(&list);
 }
 
+/* Who left in order is not lost. */
+static const char *shown_state(const char *state, const char *note)
+{
+    if (!state)
+        return NULL;
+    if (strcmp(state, "lost") == 0 && strcmp(note, "left") == 0)
+        return note;
+    return strcmp(state, "set-aside") == 0 ? "set aside" : state;
+}
+
 static void add_worker(struct text_table *t, const struct json *w)
 {
     char text[HUMAN_BYTES];
@@ -38,7 +48,7 @@ static void add_worker(struct text_table *t, const struct json *w)
     text_table_add(t, reply_text(w, "id", NULL));
     text_table_add(t, reply_text(w, "name", NULL));
     text_table_add(t, reply_text(w, "host", NULL));
-    text_table_add(t, state && strcmp(state, "set-aside") == 0 ? "set aside" : state);
+    text_table_add(t, shown_state(state, reply_text(w, "note", "")));
     text_table_add(t, reply_text(w, "job", NULL));
     text_table_addf(t, "%.0f", reply_number(w, "threads", 0));
     double speed = reply_number(w, "speed_rays_s", 0);

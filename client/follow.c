@@ -48,6 +48,7 @@ static void take_job(struct watch *w, const struct json *job)
     struct progress_now *n = &w->now;
     double now_s = follow_now_s();
     (void)snprintf(n->state, sizeof n->state, "%s", reply_text(job, "state", n->state));
+    (void)snprintf(n->note, sizeof n->note, "%s", cli_safe(reply_text(job, "note", n->note)));
     n->done = reply_number(job, "done", n->done);
     n->has_left = reply_range(job, "left_s", n->left_s);
     const struct json *error = json_get_member(job, "error");

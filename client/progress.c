@@ -63,8 +63,33 @@ static void parts_of(const struct progress_now *now, char parts[PARTS][80])
         human_rays(now->rays_s, text);
         (void)snprintf(parts[3], 80, "  %s", text);
     }
-    if (now->done < 1)
+    if (now->done < 1 && now->workers > 0)
         (void)snprintf(parts[4], 80, "  %u worker%s", now->workers, now->workers == 1 ? "" : "s");
+}
+
+static bool is_paused(const struct progress_now *now)
+{
+    return strcmp(now->state, "paused") == 0;
+}
+
+static bool stands_still(const struct progress_now *now)
+{
+    return is_paused(now) || now->waiting_s >= STALL_AFTER_S;
+}
+
+/* Why it stands still, and what would end that. */
+static void still_text(const struct progress_now *now, char out[PROGRESS_COLUMNS_MAX])
+{
+    static const char nobody[] = "no worker";
+    const char *note = now->note[0] ? now->note : nobody;
+    bool advise = now->advice && strncmp(note, nobody, strlen(nobody)) == 0;
+    if (is_paused(now))
+        (void)snprintf(out, PROGRESS_COLUMNS_MAX, "%3d%% paused%s%s; go on: tilery resume %s",
+                       percent(now->done), now->note[0] ? ": " : "", now->note, now->job);
+    else
+        (void)snprintf(out, PROGRESS_COLUMNS_MAX, "%3d%% stalled %.0f s: %s%s%s",
+                       percent(now->done), now->waiting_s, note, advise ? "; " : "",
+                       advise ? now->advice : "");
 }
 
 void progress_text(const struct progress_now *now, int columns, char out[PROGRESS_COLUMNS_MAX])
@@ -72,10 +97,8 @@ void progress_text(const struct progress_now *now, int columns, char out[PROGRES
     char parts[PARTS][80];
     /* From the least wanted: workers, rate, error, bar; the time left stays longest. */
     static const int drop_order[PARTS] = {4, 3, 2, 0, 1};
-    if (now->waiting_s >= STALL_AFTER_S) {
-        (void)snprintf(out, PROGRESS_COLUMNS_MAX, "%3d%% stalled %.0f s: no worker%s%s",
-                       percent(now->done), now->waiting_s, now->advice ? "; " : "",
-                       now->advice ? now->advice : "");
+    if (stands_still(now)) {
+        still_text(now, out);
         if (columns > 0 && columns < PROGRESS_COLUMNS_MAX)
             out[columns] = '\0';
         return;
@@ -130,7 +153,9 @@ static void plain_line(struct progress *p, double now_s)
 {
     char text[PROGRESS_COLUMNS_MAX];
     bool tenth = percent(p->now.done) >= 10 * p->next_tenth;
-    if (!tenth && now_s - p->last_line_s < LINE_EVERY_S)
+    bool still = stands_still(&p->now), stops = still && !p->stalled;
+    p->stalled = still;
+    if (!tenth && !stops && now_s - p->last_line_s < LINE_EVERY_S)
         return;
     while (percent(p->now.done) >= 10 * p->next_tenth)
         p->next_tenth++;
@@ -209,7 +234,7 @@ void progress_tick(struct progress *p, double now_s)
 {
     if (p->mode == PROGRESS_BAR)
         show(p, now_s);
-    else if (p->mode == PROGRESS_LINES && now_s - p->last_line_s >= LINE_EVERY_S)
+    else if (p->mode == PROGRESS_LINES)
         plain_line(p, now_s);
 }
 

@@ -25,7 +25,8 @@ struct progress_now {
     double rays_s; /* 0: not measured */
     uint32_t workers;
     double waiting_s;   /* so long nobody has worked at it; 0: someone does */
-    const char *advice; /* what would end the wait; may be NULL */
+    char note[120];     /* why, as the master says it; "": no worker is there */
+    const char *advice; /* what would end the wait for a worker; may be NULL */
 };
 
 enum { PROGRESS_KINDS_MAX = 16, PROGRESS_KIND_BYTES = 80, PROGRESS_COLUMNS_MAX = 400 };
@@ -37,6 +38,7 @@ struct progress {
     double start_s, last_paint_s, last_line_s;
     double done_max;
     int next_tenth; /* lines: 1..10 */
+    bool stalled;   /* lines: it stands still, and that was said */
     bool grew;      /* said that more is to be done than was thought */
     struct {
         char kind[PROGRESS_KIND_BYTES];

@@ -109,7 +109,7 @@ static void put_time(const struct json *r, struct buf *out)
     }
     if (!first)
         buf_printf(&line, " s");
-    if (!isnan(core))
+    if (!isnan(core) && !(first && core == 0))
         buf_printf(&line, core < 120 ? "%s%.1f core-s" : "%s%.1f core-min", first ? "" : "; ",
                    core < 120 ? core : core / 60);
     if (line.bytes > 0 && buf_status(&line) == ERR_OK)

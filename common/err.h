@@ -33,7 +33,7 @@
     X(NOMEM, 5, "out of memory")                                                                   \
     X(IO, 5, "input/output error")                                                                 \
     X(NOSPACE, 5, "disk full")                                                                     \
-    X(ADDRESS, 5, "address cannot be bound")                                                       \
+    X(ADDRESS, 5, "address in use, or not of this machine")                                        \
     X(AGAIN, 5, "queue full")                                                                      \
     X(CANCELLED, 1, "cancelled")
 

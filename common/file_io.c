@@ -3,6 +3,8 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <libgen.h>
+#include <limits.h>
 #include <stdatomic.h>
 #include <stdio.h>
 #include <string.h>
@@ -75,6 +77,24 @@ const char *file_read_why(const char *path, enum err e)
     if (!S_ISREG(st.st_mode))
         return "a device or a pipe, not a file";
     return access(path, R_OK) != 0 ? "no permission" : err_text(e);
+}
+
+const char *file_folder_why(const char *path, enum err e)
+{
+    struct stat st;
+    char parent[PATH_MAX];
+    if (e != ERR_IO && e != ERR_NOT_FOUND)
+        return err_text(e);
+    bool there = stat(path, &st) == 0;
+    if ((there && !S_ISDIR(st.st_mode)) || (!there && errno == ENOTDIR))
+        return "not a folder";
+    (void)snprintf(parent, sizeof parent, "%s", path);
+    if (!there && stat(dirname(parent), &st) != 0)
+        return "the folder that it is to be in is not there";
+    (void)snprintf(parent, sizeof parent, "%s", path);
+    if (access(there ? path : dirname(parent), W_OK | X_OK) == 0)
+        return err_text(e);
+    return errno == EROFS ? "its file system is read-only" : "no permission to write there";
 }
 
 /* --- Writing ------------------------------------------------------------- */

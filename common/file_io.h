@@ -15,6 +15,10 @@ TL_NODISCARD enum err file_read(const char *path, uint64_t bytes_max, char **dat
  * "no permission", ...; static. */
 const char *file_read_why(const char *path, enum err e);
 
+/* Why a folder could not be made or written in, with `e`: "not a folder", "no permission to write
+ * there", "its file system is read-only", ...; static. */
+const char *file_folder_why(const char *path, enum err e);
+
 /* What to do about a file that is not there: the one in its folder whose name is nearest, or where
  * relative paths begin. You own it; NULL when there is nothing to say. */
 TL_NODISCARD char *file_missing_hint(const char *path);

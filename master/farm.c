@@ -7,6 +7,7 @@
 #include <sys/resource.h>
 #include <time.h>
 
+#include "common/file_io.h"
 #include "common/log.h"
 #include "common/mem.h"
 
@@ -337,7 +338,7 @@ enum err farm_start(struct farm *f, uv_loop_t *loop, const struct farm_options *
     enum err e = store_open(o->data_dir, &f->store);
     if (e != ERR_OK) {
         log_error("master", "cannot use data folder=%s error=\"%s\"", o->data_dir,
-                  e == ERR_STATE ? "another master uses it" : err_text(e));
+                  e == ERR_STATE ? "another master uses it" : file_folder_why(o->data_dir, e));
         return e;
     }
     uint64_t epoch = 0;

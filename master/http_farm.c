@@ -170,7 +170,8 @@ void http_patch_worker(struct request *r)
         request_problems(r, MHD_HTTP_UNPROCESSABLE_CONTENT, "bad-change", "nothing was changed",
                          &problems);
     } else if (workers_drain(r->farm, w) != ERR_OK) {
-        request_problem(r, MHD_HTTP_CONFLICT, "wrong-state", "not possible: the worker is lost");
+        request_problem(r, MHD_HTTP_CONFLICT, "wrong-state", "not possible: w%" PRIu64 " is gone",
+                        w->id);
     } else {
         struct buf b;
         buf_init(&b);

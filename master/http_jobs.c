@@ -552,8 +552,8 @@ static void change(struct request *r, struct job *job, const struct http_change_
     }
     (void)request_of(later);
     if (e == ERR_STATE)
-        request_problem(r, MHD_HTTP_CONFLICT, "wrong-state", "not possible: the job is %s",
-                        job_state_names[job->rec.state]);
+        request_problem(r, MHD_HTTP_CONFLICT, "wrong-state", "not possible: j%" PRIu64 " is %s",
+                        job->rec.id, job_state_names[job->rec.state]);
     else
         request_error(r, e);
 }

@@ -239,6 +239,7 @@ static bool take(struct options *o, int option, int *status)
         *status = 0;
         return false;
     default: /* getopt has said what is wrong */
+        (void)fprintf(stderr, "  see tilery-master --help  [usage]\n");
         *status = err_exit_status(ERR_USAGE);
         return false;
     }

@@ -10,6 +10,7 @@
 #include <uv.h>
 
 #include "common/determinism.h"
+#include "common/file_io.h"
 #include "common/log.h"
 #include "common/tags.h"
 #include "proto/transport.h"
@@ -293,6 +294,13 @@ static int fail(const char *what, enum err e)
     return 5;
 }
 
+static int fail_folder(const char *path, enum err e)
+{
+    (void)fprintf(stderr, "tilery-worker: cannot use the folder %s: %s\n", path,
+                  file_folder_why(path, e));
+    return 5;
+}
+
 static enum err own_determinism_id(digest *out)
 {
     struct render_scratch *scratch;
@@ -409,11 +417,11 @@ int main(int argc, char **argv)
         return fail("cannot make an event loop", ERR_IO);
     e = chunk_cache_new(p.cache_folder, p.cache_mib * MIB, &p.cache);
     if (e != ERR_OK)
-        return fail(p.cache_folder ? p.cache_folder : "chunk cache", e);
+        return p.cache_folder ? fail_folder(p.cache_folder, e) : fail("chunk cache", e);
     if (p.tree_folder)
         e = chunk_cache_keep_trees(p.cache, p.tree_folder, p.cache_mib * MIB);
     if (e != ERR_OK)
-        return fail(p.tree_folder, e);
+        return fail_folder(p.tree_folder, e);
     e = pool_new(&p.loop, p.threads, p.build_threads, &p.pool);
     if (e != ERR_OK)
         return fail("cannot start the render threads", e);

@@ -186,6 +186,12 @@ function select(id) {
 
 /* --- Workers and farm ------------------------------------------------------ */
 
+/* Who left in order is not lost. */
+function workerState(w) {
+  const state = w.state === "lost" && w.note === "left" ? "left" : w.state;
+  return text("td", state.replace("-", " "), "state " + state);
+}
+
 function workerRow(w) {
   const row = document.createElement("tr");
   const last = document.createElement("td");
@@ -195,7 +201,7 @@ function workerRow(w) {
       .catch((e) => { $("problem").textContent = e.message; }));
     last.append(button);
   }
-  row.append(text("td", w.id), text("td", w.name), text("td", w.state, "state " + w.state.replace(" ", "-")),
+  row.append(text("td", w.id), text("td", w.name), workerState(w),
     text("td", w.job || "-"),
     text("td", w.threads, "number"), text("td", w.speed_rays_s > 0 ? rays(w.speed_rays_s) : "-", "number"),
     text("td", w.units, "number"), text("td", w.lost, "number"),
@@ -307,7 +313,13 @@ const keys = { j: () => step(1), k: () => step(-1), "/": () => $("filter").focus
   "?": () => $("help").showModal() };
 document.addEventListener("keydown", (event) => {
   const typing = event.target.matches("input, textarea, select") && event.target.type !== "checkbox";
-  if (typing && event.key === "Escape") event.target.blur();
+  if (typing && event.key === "Escape") {
+    if (event.target.id === "filter") { // a search field empties itself and does not say so
+      event.target.value = "";
+      showJobs();
+    }
+    event.target.blur();
+  }
   if (typing || event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
   if (!Object.hasOwn(keys, event.key) || (!$("keys-on").checked && event.key !== "?")) return;
   event.preventDefault();

@@ -276,6 +276,8 @@ USAGE = {
     "tradeoff": (("tradeoff", "a.json"), "-o"),
     "output without wait": (("submit", "a.json", "-o", "b.exr"), "-o needs --wait"),
     "output in full without wait": (("submit", "a.json", "--output", "b.exr"), "--output needs"),
+    "png by another name": (("render", "a.json", "-o", "b.exr", "--png", "b.jpg"), ".png"),
+    "submit into a png": (("submit", "a.json", "--wait", "-o", "b.png"), "must end in .exr"),
     "long name": (("submit", "a.json", "--name", "n" * 201), "201 bytes, must be at most 200"),
     "empty scene": (("render", "", "-o", "b.exr"), "must not be empty"),
     "empty job": (("status", ""), "must not be empty"),
@@ -393,11 +395,13 @@ def test_no_output_replaces_what_is_read(tmp_path, words, kept):
     assert not list(tmp_path.glob("*_meshes"))
 
 
-def test_a_report_may_go_to_a_pipe(tmp_path):
-    """/dev/stdout was refused as an invalid argument."""
+@pytest.mark.parametrize("to", ("/dev/stdout", "-"))
+def test_a_report_may_go_to_a_pipe(tmp_path, to):
+    """/dev/stdout was refused as an invalid argument, and "-" made a file of that name."""
     (tmp_path / "scene.json").write_text(json.dumps(GOOD))
     (tmp_path / "triangle.obj").write_text(TRIANGLE)
-    done = tilery("render", "scene.json", "-o", "out.exr", "--report", "/dev/stdout", "--quiet",
+    done = tilery("render", "scene.json", "-o", "out.exr", "--report", to, "--quiet",
                   cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["state"] == "done"
+    assert not (tmp_path / "-").exists()

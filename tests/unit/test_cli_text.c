@@ -136,6 +136,17 @@ static void test_progress_states(void **state)
     progress_text(&now, 0, text);
     assert_string_equal(text, " 99% stalled 12 s: no worker; start one: tilery-worker --master "
                               "10.0.0.5:7000");
+    (void)snprintf(now.note, sizeof now.note, "behind 2 jobs");
+    progress_text(&now, 0, text);
+    assert_string_equal(text, " 99% stalled 12 s: behind 2 jobs");
+    (void)snprintf(now.note, sizeof now.note, "no worker has the tags big");
+    progress_text(&now, 50, text);
+    assert_string_equal(text, " 99% stalled 12 s: no worker has the tags big; sta");
+    now.note[0] = '\0';
+    (void)snprintf(now.state, sizeof now.state, "paused");
+    (void)snprintf(now.job, sizeof now.job, "j7");
+    progress_text(&now, 0, text);
+    assert_string_equal(text, " 99% paused; go on: tilery resume j7");
 }
 
 /* Runs `feed` on a progress in that mode and gives what was written. */
@@ -176,6 +187,27 @@ static void test_lines_each_tenth(void **state)
     assert_non_null(strstr(text, "\n100%"));
     assert_null(strchr(text, '\r'));
     assert_null(strchr(text, '\x1b'));
+}
+
+static void feed_stalls(struct progress *p)
+{
+    struct progress_now now = example();
+    now.done = 0.05;
+    now.workers = 0;
+    for (int i = 0; i < 80; i++) {
+        now.waiting_s = i % 40 * 0.1; /* it comes to life once between */
+        p->now.waiting_s = now.waiting_s;
+        progress_tick(p, i * 0.1);
+    }
+}
+
+/* Without a terminal, too, somebody who waits learns for what, and once. */
+static void test_lines_when_stalled(void **state)
+{
+    char text[4000];
+    (void)state;
+    captured(PROGRESS_LINES, feed_stalls, text, sizeof text);
+    assert_string_equal(text, "  0% stalled 2 s: no worker\n  0% stalled 2 s: no worker\n");
 }
 
 static void feed_backwards(struct progress *p)
@@ -409,6 +441,7 @@ int main(void)
         cmocka_unit_test(test_progress_widths),
         cmocka_unit_test(test_progress_states),
         cmocka_unit_test(test_lines_each_tenth),
+        cmocka_unit_test(test_lines_when_stalled),
         cmocka_unit_test(test_never_back),
         cmocka_unit_test(test_events_counted),
         cmocka_unit_test(test_json_lines),

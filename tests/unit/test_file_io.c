@@ -101,6 +101,13 @@ static void what_is_wrong_is_said(void **state)
     assert_string_equal(file_read_why(folder, ERR_IO), "a folder");
     assert_string_equal(file_read_why("nothing", ERR_NOT_FOUND), "no such file");
     char path[300];
+    (void)snprintf(path, sizeof path, "%s/a/b", folder);
+    assert_string_equal(file_folder_why(path, ERR_NOT_FOUND),
+                        "the folder that it is to be in is not there");
+    assert_string_equal(file_folder_why("/dev/null", ERR_IO), "not a folder");
+    assert_string_equal(file_folder_why("/dev/null/x", ERR_IO), "not a folder");
+    assert_string_equal(file_folder_why(folder, ERR_NOSPACE), "disk full");
+    assert_string_equal(file_folder_why(folder, ERR_IO), "input/output error");
     (void)snprintf(path, sizeof path, "%s/Scene.json", folder);
     assert_int_equal(file_write(path, "x", 1), ERR_OK);
     char *other = hint_of("SCENE.JSON"), *near = hint_of("Scnee.json"), *far = hint_of("none.exr");

@@ -109,7 +109,8 @@ def test_zoom_and_keys(farm, page):
     page.keyboard.type("j1")  # typed, not taken for keys
     expect(page.locator("#jobs tr")).to_have_count(1)
     expect(page.locator("#job-title")).to_contain_text(jobs[2])
-    page.keyboard.press("Escape")
+    page.keyboard.press("Escape")  # empties the field: all are listed again
+    expect(page.locator("#jobs tr")).to_have_count(3)
     page.keyboard.press("?")
     expect(page.locator("#help")).to_be_visible()
     page.locator("#keys-on").uncheck()
