@@ -224,8 +224,8 @@ static enum err judge_places(struct doctor_visit *v)
  * here too, with its object. */
 static bool is_other_matter(const char *id)
 {
-    static const char *const others[] = {"camera-added", "sky-added",    "integrator-replaced",
-                                         "no-effect",    "light-scaled", "far-from-origin"};
+    static const char *const others[] = {"camera-added", "integrator-replaced", "no-effect",
+                                         "light-scaled", "far-from-origin"};
     for (size_t i = 0; i < sizeof others / sizeof *others; i++)
         if (strcmp(id, others[i]) == 0)
             return true;

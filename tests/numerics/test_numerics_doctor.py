@@ -250,11 +250,12 @@ def test_textures(tmp_path):
 
 
 def test_models(tmp_path):
-    """Models of other programs: a good one has no finding, not even that it has no light; what
-    reading left out is placed by file and line; one of a kind is not called many."""
+    """Models of other programs: all that is said of a good one is that it has no light; what reading
+    left out is placed by file and line; one of a kind is not called many."""
     (tmp_path / "good.obj").write_text(cube())
     done = tilery("doctor", tmp_path / "good.obj")
-    assert done.returncode == 0 and "0 findings in 1 mesh, 12 triangles" in done.stdout, done.stdout
+    assert done.returncode == 0 and "1 finding in 1 mesh, 12 triangles" in done.stdout, done.stdout
+    assert "[sky-added]" in done.stdout
     (tmp_path / "odd.obj").write_text(cube(leave_out=11) + "f 1 2\nf 1 1 2\n")
     done = tilery("doctor", tmp_path / "odd.obj")
     assert "odd.obj:10: " in done.stdout and "[degenerate-face]" in done.stdout
