@@ -189,7 +189,7 @@ static void test_few_triangles_agree(void **state)
 static void test_far_rays_agree(void **state)
 {
     (void)state;
-    size_t count = is_long ? 200000 : 3000;
+    size_t count = is_long ? 50000 : 3000;
     struct gen_mesh ball;
     struct trace_scene s;
     gen_mesh_init(&ball);

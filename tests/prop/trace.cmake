@@ -1,4 +1,4 @@
-# The tracing core against brute force; `test_accel --long` takes minutes.
+# The tracing core against brute force; `test_accel --long` takes about twenty minutes on two cores.
 set(trace_kit ${PROJECT_SOURCE_DIR}/tests/prop/test_accel_kit.c
   ${PROJECT_SOURCE_DIR}/tests/bench/trace_scene.c ${PROJECT_SOURCE_DIR}/scenes/gen_mesh.c)
 tilery_test(test_accel LABEL prop TIMEOUT 300 LINKS tl_render Threads::Threads m
