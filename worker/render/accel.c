@@ -493,14 +493,19 @@ static const struct trace_kernel *kernel_choose(const struct accel_options *o)
     return kernels[form][0];
 }
 
-/* From how much slack on boxes are better met in double. Float knows positions to u R: from 2^12
- * reaches away that is still a fraction of a triangle in scenes of millions. */
+/* From how much slack on boxes are better met in double. Float's pad is 9 u R: half a per cent of
+ * the scene's half extent there, a fraction of a triangle in scenes of millions. */
 static double far_slack_of(const struct accel *a)
 {
     bool triangles = a->options.precision != JOB_PRECISION_FAST;
     for (size_t i = 0; i < a->object_count; i++)
         triangles = triangles && a->objects[i].type == ACCEL_TRIANGLES;
-    return triangles ? 0x1p-30 * TRACE_FAR * a->scene_tree.reach : (double)INFINITY;
+    double extent = 0.0;
+    for (int k = 0; k < 3; k++) {
+        double size = (double)a->scene_tree.hi[k] - (double)a->scene_tree.lo[k];
+        extent = size > extent ? size : extent;
+    }
+    return triangles ? 0x1p-30 * TRACE_FAR * 0.5 * extent : (double)INFINITY;
 }
 
 static enum err accel_make(const struct accel_input *input, const struct accel_options *options,

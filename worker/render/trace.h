@@ -63,7 +63,7 @@ enum {
     TRACE_STRETCH_FAST = 8,
     TRACE_PAD_FAST = TRACE_PAD + 48 * TRACE_STRETCH_FAST,
     TRACE_FAR_FAST = 1 << 12,
-    TRACE_FAR = 1 << 12 /* the same for boxes where double decides anyway: trace_far.c */
+    TRACE_FAR = 1 << 13 /* half extents of the scene, for boxes where double decides: trace_far.c */
 };
 
 /* Readies a ray for a tree of that reach: scales `dir`, which the caller has scaled by `outer`
