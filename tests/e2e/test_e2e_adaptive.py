@@ -67,6 +67,16 @@ def test_a_plan_repeats_the_bits(golden, tmp_path):
     assert (part == rgb[5:35, 37:57]).all()
 
 
+def test_a_plan_repeats_a_kept_pilot(tmp_path):
+    """A pilot that is good enough is the picture, of 4 samples; its plan has the same bits."""
+    size = ("--size", "48x32")
+    report, _ = render(tmp_path, "m", *size, "--target-error", 50)
+    assert report["stopped_by"] == "error" and report["plan"]["pilot"] == "kept"
+    assert report["plan"]["spp"] == [4] * 6 and report["samples"] == 4 * 48 * 32
+    again, _ = render(tmp_path, "n", *size, "--plan", tmp_path / "m.json")
+    assert again["image_sha256"] == report["image_sha256"] and again["plan"] == report["plan"]
+
+
 def test_a_plan_spreads_samples_as_well(tmp_path):
     """A plan of 64 samples everywhere is about as good as --spp 64, whose samples lie in sequences
     that were made for 64. They were in pieces of 1, 1, 2, 4, 8, 16 once: 2.2 times the error."""
