@@ -120,7 +120,7 @@ static enum err build(struct render_scene *rs, const struct scene *scene,
     if (scene->uvs_left_out && aov_has(rs->spec.aov, AOV_UV))
         return ERR_INPUT;
     TL_TRY(scene_build_geometry(rs, scene));
-    TL_TRY(scene_build_materials(rs, scene, how->late));
+    TL_TRY(scene_build_materials(rs, scene, how));
     TL_TRY(scene_build_lights(rs, scene));
     rs->scene_camera = scene->camera;
     aim(rs);

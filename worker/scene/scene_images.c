@@ -116,20 +116,17 @@ static void average(const struct source *from, struct share across, struct share
         out[k] = (float)(by_opacity && k < 3 ? seen[k] / opacity : plain[k]);
 }
 
-static enum err add_level(struct arena *arena, struct texture_image *image,
-                          const struct plane *above, bool weighed, struct plane *out)
+/* Fills level `number` from the one above: `above` if it has samples, else the picture. */
+static enum err fill_level(struct texture_image *image, uint32_t number, const struct plane *above,
+                           bool weighed, struct plane *out)
 {
-    const struct texture_level *last = &image->levels[image->level_count - 1];
-    struct texture_level *level = &image->levels[image->level_count];
-    uint32_t channels = image->channel_count;
-    uint32_t width = last->width > 1 ? last->width / 2 : 1;
-    uint32_t height = last->height > 1 ? last->height / 2 : 1;
-    texture_level_init(level, width, height);
-    size_t bytes = sample_bytes(image->format) * channels;
-    void *texels = arena_alloc(arena, texture_level_texels(level), bytes);
+    const struct texture_level *last = &image->levels[number - 1];
+    const struct texture_level *level = &image->levels[number];
+    uint32_t channels = image->channel_count, width = level->width, height = level->height;
+    void *texels = (void *)level->texels; /* nobody else has seen them yet */
     *out = (struct plane){width, height,
                           mem_alloc_array((size_t)width * height * channels, sizeof(float))};
-    if (!texels || !out->samples)
+    if (!out->samples)
         return ERR_NOMEM;
     struct source from = {image, above->samples ? above : NULL};
     for (uint32_t y = 0; y < height; y++) {
@@ -140,22 +137,17 @@ static enum err add_level(struct arena *arena, struct texture_image *image,
             put_texel(image, texels, texture_place(level, x, y), at);
         }
     }
-    level->texels = texels;
-    image->level_count++;
     return ERR_OK;
 }
 
 /* Each level comes from the one above before that was rounded to the picture's format. */
-static enum err add_pyramid(struct arena *arena, struct texture_image *image, bool weighed)
+static enum err fill_pyramid(struct texture_image *image, bool weighed)
 {
     struct plane above = {0};
     enum err e = ERR_OK;
-    while (e == ERR_OK) {
-        const struct texture_level *last = &image->levels[image->level_count - 1];
-        if (last->width == 1 && last->height == 1)
-            break;
+    for (uint32_t l = 1; e == ERR_OK && l < image->level_count; l++) {
         struct plane next;
-        e = add_level(arena, image, &above, weighed, &next);
+        e = fill_level(image, l, &above, weighed, &next);
         mem_free(above.samples);
         above = next;
     }
@@ -165,23 +157,35 @@ static enum err add_pyramid(struct arena *arena, struct texture_image *image, bo
 
 /* --- Images ---------------------------------------------------------------- */
 
-static enum err copy_tiled(struct arena *arena, const struct scene_image *from,
-                           struct texture_image *out)
+/* Room for the texels of all levels. */
+static enum err make_room(struct arena *arena, const struct scene_image *from, bool pyramid,
+                          struct texture_image *out)
 {
     size_t bytes = sample_bytes(from->format) * from->channel_count;
-    *out = (struct texture_image){
-        .format = from->format, .channel_count = from->channel_count, .level_count = 1};
-    struct texture_level *level = &out->levels[0];
-    texture_level_init(level, from->width, from->height);
-    unsigned char *texels = arena_alloc(arena, texture_level_texels(level), bytes);
-    if (!texels)
-        return ERR_NOMEM;
+    uint32_t width = from->width, height = from->height;
+    *out = (struct texture_image){.format = from->format, .channel_count = from->channel_count};
+    for (;;) {
+        struct texture_level *level = &out->levels[out->level_count++];
+        texture_level_init(level, width, height);
+        level->texels = arena_alloc(arena, texture_level_texels(level), bytes);
+        if (!level->texels)
+            return ERR_NOMEM;
+        if (!pyramid || (width == 1 && height == 1))
+            return ERR_OK;
+        width = width > 1 ? width / 2 : 1;
+        height = height > 1 ? height / 2 : 1;
+    }
+}
+
+static void copy_tiled(const struct scene_image *from, const struct texture_image *image)
+{
+    size_t bytes = sample_bytes(from->format) * from->channel_count;
+    const struct texture_level *level = &image->levels[0];
+    unsigned char *texels = (void *)level->texels;
     const unsigned char *row = from->pixels;
     for (uint32_t y = 0; y < from->height; y++, row += from->width * bytes)
         for (uint32_t x = 0; x < from->width; x++)
             memcpy(texels + texture_place(level, x, y) * bytes, row + x * bytes, bytes);
-    level->texels = texels;
-    return ERR_OK;
 }
 
 /* True if the picture has no opacity, or 1 everywhere. */
@@ -194,6 +198,13 @@ static bool is_opaque(const struct scene_image *image)
         if (image->format == SCENE_IMAGE_F32 ? floats[4 * i + 3] != 1 : bytes[4 * i + 3] != 255)
             return false;
     return true;
+}
+
+static enum err fill(const struct scene_image *from, bool weighed, struct texture_image *image)
+{
+    copy_tiled(from, image);
+    image->opaque = !weighed || is_opaque(from);
+    return fill_pyramid(image, weighed);
 }
 
 static void mark(const struct scene *scene, uint32_t texture, bool weighed, struct image_use *uses)
@@ -228,28 +239,57 @@ static void mark_uses(const struct scene *scene, struct image_use *uses)
 enum err texture_image_make(struct arena *arena, const struct scene_image *from,
                             const struct image_use *use, struct texture_image *out)
 {
-    TL_TRY(copy_tiled(arena, from, out));
-    out->opaque = !use->weighed || is_opaque(from);
-    return use->pyramid ? add_pyramid(arena, out, use->weighed) : ERR_OK;
+    TL_TRY(make_room(arena, from, use->pyramid, out));
+    return fill(from, use->weighed, out);
+}
+
+/* Images with room for their texels, to be filled by any number of threads. */
+struct filling {
+    const struct scene *scene;
+    const struct image_use *uses;
+    struct texture_image *images;
+    atomic_bool failed;
+};
+
+static void fill_one(void *arg, size_t i)
+{
+    struct filling *f = arg;
+    if (f->images[i].level_count > 0 &&
+        fill(&f->scene->images[i], f->uses[i].weighed, &f->images[i]) != ERR_OK)
+        atomic_store(&f->failed, true);
+}
+
+static enum err fill_all(struct render_scene *rs, const struct scene *scene,
+                         const struct image_use *uses, const struct accel_runner *runner)
+{
+    struct filling f = {.scene = scene, .uses = uses, .images = rs->images};
+    if (runner && runner->run)
+        runner->run(runner->ctx, scene->image_count, fill_one, &f);
+    else
+        for (size_t i = 0; i < scene->image_count; i++)
+            fill_one(&f, i);
+    return atomic_load(&f.failed) ? ERR_NOMEM : ERR_OK;
 }
 
 enum err scene_build_images(struct render_scene *rs, const struct scene *scene,
-                            const struct late_chunk *late)
+                            const struct scene_building *how)
 {
     struct image_use *uses = mem_calloc(scene->image_count, sizeof *uses);
     rs->images = arena_alloc(&rs->arena, scene->image_count, sizeof *rs->images);
     rs->image_count = scene->image_count;
-    enum err e = uses && rs->images ? scene_late_new(rs, scene, late) : ERR_NOMEM;
+    enum err e = uses && rs->images ? scene_late_new(rs, scene, how->late) : ERR_NOMEM;
     if (e == ERR_OK)
         mark_uses(scene, uses);
     for (uint32_t i = 0; e == ERR_OK && i < scene->image_count; i++) {
         if (!uses[i].used)
             continue;
-        if (late && late[i].late)
+        if (how->late && how->late[i].late)
             scene_late_leave_out(rs, i, &uses[i]);
         else
-            e = texture_image_make(&rs->arena, &scene->images[i], &uses[i], &rs->images[i]);
+            e = make_room(&rs->arena, &scene->images[i], uses[i].pyramid, &rs->images[i]);
     }
+    if (e == ERR_OK)
+        e = fill_all(rs, scene, uses, how->runner);
     mem_free(uses);
     return e;
 }

@@ -134,6 +134,7 @@ void render_scene_put(struct render_scene *rs, uint32_t image, struct picture *p
     place->format = picture->image.format;
     place->channel_count = picture->image.channel_count;
     place->level_count = picture->image.level_count;
+    place->opaque = picture->image.opaque;
     for (uint32_t i = 0; i < picture->image.level_count; i++)
         place->levels[i] = picture->image.levels[i];
     /* Whoever sees that it is there sees all of it. */

@@ -159,9 +159,9 @@ static bool reads_alphas(const struct scene *scene, const struct scene_object *o
 }
 
 enum err scene_build_materials(struct render_scene *rs, const struct scene *scene,
-                               const struct late_chunk *late)
+                               const struct scene_building *how)
 {
-    TL_TRY(scene_build_images(rs, scene, late));
+    TL_TRY(scene_build_images(rs, scene, how));
     rs->texture_count = scene->texture_count;
     rs->textures = arena_alloc(&rs->arena, scene->texture_count, sizeof *rs->textures);
     rs->material_count = scene->material_count + 1;

@@ -20,7 +20,7 @@ TL_NODISCARD enum err scene_build_geometry(struct render_scene *rs, const struct
 /* The images that textures use, as the tracing core reads them, into rs->images: one for each of
  * the scene's; of those unused nothing is set, and those that are late are absent. */
 TL_NODISCARD enum err scene_build_images(struct render_scene *rs, const struct scene *scene,
-                                         const struct late_chunk *late);
+                                         const struct scene_building *how);
 
 /* One image with what is looked up of it. Memory is the arena's; nothing else is touched. */
 TL_NODISCARD enum err texture_image_make(struct arena *arena, const struct scene_image *from,
@@ -36,7 +36,7 @@ size_t scene_late_bytes(const struct scene_late *late);
 
 /* Textures and materials. */
 TL_NODISCARD enum err scene_build_materials(struct render_scene *rs, const struct scene *scene,
-                                            const struct late_chunk *late);
+                                            const struct scene_building *how);
 
 /* Area lights of the objects, the lights of the scene, the environment. After the others. */
 TL_NODISCARD enum err scene_build_lights(struct render_scene *rs, const struct scene *scene);
