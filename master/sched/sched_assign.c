@@ -10,6 +10,7 @@ enum {
     TRIES = 64,             /* workers for which no job may have work per event */
     CHECK_TAKEN_MS = 1000,  /* a worker keeps a check for at least so long */
     COPY_SUSPECT_MS = 1000, /* and a unit that lost a worker, without a copy */
+    CLAIM_MS = 1000,        /* of each thread, that a job may be behind its equals */
     LOAD_GUESS_MS = 10000,  /* a scene that must be loaded first delays a copy by so much */
 };
 
@@ -142,8 +143,38 @@ static bool reserve(struct sched *s, struct job *j, uint32_t worker)
     return true;
 }
 
-/* The most urgent job with work for this worker; SLOT_NONE. Among equals the one with the fewest
- * leases, where a scene that the worker does not hold counts like half its threads. */
+/* Among equals the job that was given the least thread-time so far goes first. Who comes anew, or
+ * had nothing to do, begins where the one is that was given most, and nobody is ever further
+ * behind it than a second of the whole farm: waiting gives no claim to everything later. `begin` is
+ * the first of these equals in job_rank. */
+static void settle_claims(struct sched *s, uint32_t begin)
+{
+    uint32_t end = begin;
+    uint64_t most_ms = 0;
+    int32_t priority = s->jobs[s->job_rank[begin]].priority;
+    for (; end < s->job_rank_count && s->jobs[s->job_rank[end]].priority == priority; end++) {
+        const struct job *j = &s->jobs[s->job_rank[end]];
+        if (j->contends && j->leased_ms > most_ms)
+            most_ms = j->leased_ms;
+    }
+    for (uint32_t i = begin; i < end; i++) {
+        struct job *j = &s->jobs[s->job_rank[i]];
+        uint64_t claim_ms = j->contends ? (uint64_t)CLAIM_MS * (s->threads + 1) : 0;
+        j->contends = job_has_work(s, j);
+        if (j->contends && j->leased_ms + claim_ms < most_ms)
+            j->leased_ms = most_ms - claim_ms;
+    }
+}
+
+/* A scene that the worker does not hold counts like a unit on half its threads. */
+static uint64_t job_load(const struct sched *s, const struct job *j, struct worker *w)
+{
+    const struct worker_job *wj = worker_job_find(w, j->id);
+    uint64_t units = wj && wj->open ? 0 : w->threads > 1 ? w->threads / 2 : 1;
+    return j->leased_ms + units * s->limits.unit_ms;
+}
+
+/* The most urgent job with work for this worker; SLOT_NONE. */
 static uint32_t job_for(struct sched *s, uint32_t worker)
 {
     struct worker *w = &s->workers[worker];
@@ -154,16 +185,15 @@ static uint32_t job_for(struct sched *s, uint32_t worker)
         struct job *j = &s->jobs[job];
         if (best != SLOT_NONE && j->priority < s->jobs[best].priority)
             break;
+        if (i == 0 || j->priority < s->jobs[s->job_rank[i - 1]].priority)
+            settle_claims(s, i);
         if (!job_has_work(s, j) || worker_barred(s, w, j))
             continue;
         if (reserve(s, j, worker))
             return SLOT_NONE;
         if (!job_offers(s, j, w))
             continue;
-        const struct worker_job *wj = worker_job_find(w, j->id);
-        uint64_t load = j->solo.count + j->others.count;
-        if (!wj || !wj->open)
-            load += w->threads > 1 ? w->threads / 2 : 1;
+        uint64_t load = job_load(s, j, w);
         if (best == SLOT_NONE || load < best_load) {
             best = job;
             best_load = load;
@@ -173,6 +203,13 @@ static uint32_t job_for(struct sched *s, uint32_t worker)
 }
 
 /* --- Leasing ---------------------------------------------------------------- */
+
+/* What is not measured yet is taken to last as long as first units are to. */
+static void job_charge(struct sched *s, uint32_t job, uint32_t lease)
+{
+    uint32_t ms = s->leases[lease].expected_ms;
+    s->jobs[job].leased_ms += ms > 0 ? ms : s->limits.unit_first_ms;
+}
 
 static uint32_t lease_suspect(struct sched *s, uint32_t worker, uint32_t job, uint32_t suspect,
                               bool alone)
@@ -373,6 +410,8 @@ static uint32_t lease_for(struct sched *s, uint32_t worker, bool work)
         uint32_t job = job_for(s, worker);
         if (job != SLOT_NONE)
             lease = lease_from(s, worker, job);
+        if (lease != SLOT_NONE)
+            job_charge(s, job, lease);
     }
     if (lease == SLOT_NONE && w->list == LIST_STARVING)
         lease = lease_copy(s, worker);

@@ -64,6 +64,8 @@ struct job {
     uint32_t cell_count, block_count;
     uint32_t unit_ms;        /* cap of a unit's aimed duration */
     uint64_t quiet_until_ms; /* nothing new is leased before */
+    uint64_t leased_ms;      /* thread-time of its leases, as expected: equals get as much */
+    bool contends;           /* it had work when jobs were last looked at */
     bool open;               /* limits may change yet */
     double cell_cost, verify_share;
     struct cellset_shape shape;

@@ -198,15 +198,45 @@ static void test_equals_share_the_threads(void **state)
         rig.now_ms += 3;
         assert_true(rig_result(&rig, &l, 1000 * (uint64_t)l.unit.cell_count, 0));
     }
-    uint32_t total = 0, least = UINT32_MAX, most = 0;
+    uint32_t total = 0;
+    double least_s = 1e9, most_s = 0;
     for (uint64_t j = 1; j <= 3; j++) {
-        uint32_t n = rig_info(&rig, j).leases;
-        total += n;
-        least = n < least ? n : least;
-        most = n > most ? n : most;
+        struct sched_job_info info = rig_info(&rig, j);
+        total += info.leases;
+        assert_in_range(info.leases, 12, 20);
+        least_s = info.thread_seconds < least_s ? info.thread_seconds : least_s;
+        most_s = info.thread_seconds > most_s ? info.thread_seconds : most_s;
     }
     assert_int_equal(total, 8 * 6);
-    assert_true(most - least <= 4);
+    assert_true(most_s < 1.2 * least_s);
+}
+
+/* The first worker's oldest lease is answered; gives how long it took. */
+static uint64_t one_result(uint64_t us_per_cell)
+{
+    struct rig_lease l = rig_lease_of(&rig, 1, 0);
+    uint64_t us = us_per_cell * l.unit.cell_count;
+    rig.now_ms += us / 1000;
+    assert_true(rig_result(&rig, &l, us, 0));
+    return us;
+}
+
+/* One thread, a large job whose units take a second, and a small one whose end makes its units
+ * short: it gets half of the time, not half of the units. It took 28 times as long as alone. */
+static void test_equals_share_the_time(void **state)
+{
+    enum { CELL_US = 20000, SMALL_CELLS = 60, ALONE_US = CELL_US * SMALL_CELLS * 2 };
+    (void)state;
+    assert_true(rig_join(&rig, 1, 1));
+    assert_true(rig_add(&rig, 1, 60000, 2));
+    while (rig_lease_of(&rig, 1, 0).unit.cell_count < 40)
+        (void)one_result(CELL_US);
+    assert_true(rig_add(&rig, 2, SMALL_CELLS, 2));
+    uint64_t spent_us = 0;
+    while (rig_info(&rig, 2).state != SCHED_DONE && spent_us < 100 * (uint64_t)ALONE_US)
+        spent_us += one_result(CELL_US);
+    /* What was queued before it, its own time twice over, and a unit of the other. */
+    assert_in_range(spent_us, ALONE_US, 2 * ALONE_US + 4 * 1200000);
 }
 
 /* --- Life of a job ------------------------------------------------------------------ */
@@ -572,6 +602,7 @@ int main(void)
         RIG_TEST(test_idle_threads_come_before_prefetch),
         RIG_TEST(test_higher_priority_goes_first),
         RIG_TEST(test_equals_share_the_threads),
+        RIG_TEST(test_equals_share_the_time),
         RIG_TEST(test_paused_job_gets_no_lease_but_takes_results),
         RIG_TEST(test_cancel_revokes_and_retry_goes_on),
         RIG_TEST(test_removed_job_is_forgotten),
