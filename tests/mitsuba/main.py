@@ -86,6 +86,12 @@ def compare(options):
     return 1 if failures else 0
 
 
+def random_scenes(options):
+    import random_scenes as drawn
+    options.scenes = drawn.write(options.output, options.first, options.count)
+    return compare(options)
+
+
 def references(options):
     import block_test
     from scene_map import SceneMap
@@ -144,16 +150,20 @@ def main():
     commands = parser.add_subparsers(dest="command", required=True)
     c = commands.add_parser("compare", help="hold scene files against Mitsuba")
     c.add_argument("scenes", nargs="+")
-    c.add_argument("--size", type=size_of, default=(64, 64))
-    c.add_argument("--spp", type=int, default=64, help="a seed (64)")
-    c.add_argument("--peer-spp", type=int, help="of Mitsuba; default as --spp")
-    c.add_argument("--seeds", type=int, default=SEEDS)
-    c.add_argument("--tilery", default=str(ROOT / "build/release/bin/tilery"))
-    c.add_argument("--variant", default="llvm_ad_rgb")
-    c.add_argument("--output", default="mitsuba-differences",
-                   help="folder of the pictures of those that differ")
-    c.add_argument("--keep", action="store_true", help="write all pictures")
-    c.add_argument("--extra", nargs="*", default=[], help="options for tilery render")
+    d = commands.add_parser("random", help="hold scenes drawn from seeds against Mitsuba")
+    d.add_argument("count", type=int)
+    d.add_argument("--first", type=int, default=1, help="the first one's seed (1)")
+    for p in (c, d):
+        p.add_argument("--size", type=size_of, default=(64, 64))
+        p.add_argument("--spp", type=int, default=64, help="a seed (64)")
+        p.add_argument("--peer-spp", type=int, help="of Mitsuba; default as --spp")
+        p.add_argument("--seeds", type=int, default=SEEDS)
+        p.add_argument("--tilery", default=str(ROOT / "build/release/bin/tilery"))
+        p.add_argument("--variant", default="llvm_ad_rgb")
+        p.add_argument("--output", default="mitsuba-differences",
+                       help="folder of the pictures of those that differ")
+        p.add_argument("--keep", action="store_true", help="write all pictures")
+        p.add_argument("--extra", nargs="*", default=[], help="options for tilery render")
     r = commands.add_parser("references", help="render the kept references")
     r.add_argument("names", nargs="*")
     r.add_argument("--spp", type=int, default=256, help="a seed (256)")
@@ -170,7 +180,8 @@ def main():
         import make_scenes
         return make_scenes.main()
     choose_variant(options.variant)
-    return {"compare": compare, "references": references, "bench": bench}[options.command](options)
+    return {"compare": compare, "random": random_scenes, "references": references,
+            "bench": bench}[options.command](options)
 
 
 sys.exit(main())

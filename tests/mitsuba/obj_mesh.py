@@ -29,13 +29,13 @@ def _lines(path):
 
 def read(path, transform):
     """(positions, normals or None, uvs or None), one row a corner, after `transform` (4x4)."""
-    tables, faces = _lines(path)
+    read_tables, faces = _lines(path)
     corners = [c for face in faces for c in face]
 
     def column(which, key, width):
         if not corners or any(c[which] is None for c in corners):
             return None
-        return np.array([tables[key][c[which]] for c in corners], dtype=float).reshape(-1, width)
+        return np.array([read_tables[key][c[which]] for c in corners], dtype=float).reshape(-1, width)
 
     matrix = np.asarray(transform, dtype=float).reshape(4, 4)
     linear = matrix[:3, :3]
@@ -44,9 +44,12 @@ def read(path, transform):
     if normals is not None:
         normals = normals @ np.linalg.inv(linear)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        for face in range(0, len(points), 3):
-            a, b, c = points[face:face + 3]
-            if np.dot(np.cross(b - a, c - a), normals[face]) < 0:
-                for table in (points, normals, uvs) if uvs is not None else (points, normals):
-                    table[[face + 1, face + 2]] = table[[face + 2, face + 1]]
+    # A face keeps its side: that of its normals, or of its file where a transform mirrors it.
+    mirrored = np.linalg.det(linear) < 0
+    tables = [t for t in (points, normals, uvs) if t is not None]
+    for face in range(0, len(points), 3):
+        a, b, c = points[face:face + 3]
+        if mirrored if normals is None else np.dot(np.cross(b - a, c - a), normals[face]) < 0:
+            for table in tables:
+                table[[face + 1, face + 2]] = table[[face + 2, face + 1]]
     return points, normals, uvs
