@@ -336,33 +336,43 @@ static void test_beyond_wide_lens(void **state)
     kit_picture_free(&pinhole);
 }
 
-/* A conductor's indices may be anything: it reflects between nothing and all. */
+/* The mean of a ball under a sky of 1, by 64 samples; fails on those that are no numbers. */
+static double shine(const struct scene *s, enum job_profile profile, const double index[3])
+{
+    struct job_spec spec = kit_spec(4, 4);
+    spec.profile = profile;
+    struct kit_picture p = kit_render(s, &spec, 0);
+    if (p.counters.nonfinite)
+        fail_msg("etaI %g, etaT %g, k %g: %llu samples are no numbers", index[0], index[1],
+                 index[2], (unsigned long long)p.counters.nonfinite);
+    double mean = kit_picture_mean(&p);
+    kit_picture_free(&p);
+    return mean;
+}
+
+/* A conductor's indices may be anything: it reflects between nothing and all. No path of a random
+ * walk brings more than the sky; looking at the sky besides makes noise about that. */
 static void test_beyond_conductor_indices(void **state)
 {
     (void)state;
     static const double values[] = {0, 5e-324, 1e-310, 1e-100, 1, 1e9, 1e20, 1e40, 1e100, 1e150};
     enum { COUNT = sizeof values / sizeof *values };
     for (int i = 0; i < COUNT * COUNT * COUNT; i++) {
+        double index[3] = {values[i % COUNT], values[i / COUNT % COUNT], values[i / COUNT / COUNT]};
         struct scene s;
         struct scene_material *m;
         scene_init(&s);
         uint32_t metal = kit_material(&s, SCENE_MATERIAL_ROUGH_CONDUCTOR, &m);
         for (int k = 0; k < 3; k++) {
-            m->etaI[k] = values[i % COUNT];
-            m->etaT[k] = values[i / COUNT % COUNT];
-            m->k[k] = values[i / COUNT / COUNT];
+            m->etaI[k] = index[0];
+            m->etaT[k] = index[1];
+            m->k[k] = index[2];
         }
         kit_sphere(&s, 0, 0, 0, 1, metal);
         kit_constant_sky(&s, 1);
         look(&s, 0, 0, 3, 30);
-        struct job_spec spec = kit_spec(4, 4);
-        struct kit_picture p = kit_render(&s, &spec, 0);
-        if (p.counters.nonfinite)
-            fail_msg("etaI %g, etaT %g, k %g: %llu samples are no numbers", values[i % COUNT],
-                     values[i / COUNT % COUNT], values[i / COUNT / COUNT],
-                     (unsigned long long)p.counters.nonfinite);
-        assert_true(kit_picture_mean(&p) <= 1 + 1e-3);
-        kit_picture_free(&p);
+        assert_true(shine(&s, JOB_PROFILE_RW, index) <= 1 + 1e-9);
+        assert_true(shine(&s, JOB_PROFILE_MIS, index) <= 1.2);
         scene_release(&s);
     }
 }
