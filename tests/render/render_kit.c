@@ -339,3 +339,22 @@ double kit_picture_mean(const struct kit_picture *p)
         sum += p->mean[i];
     return sum / (double)values;
 }
+
+uint64_t kit_estimate(const struct scene *s, struct job_spec spec, double *mean, double *variance)
+{
+    enum { SEEDS = 8 };
+    uint64_t nonfinite = 0;
+    double sum = 0, sum2 = 0;
+    for (uint64_t seed = 1; seed <= SEEDS; seed++) {
+        spec.seed = seed;
+        struct kit_picture p = kit_render(s, &spec, 0);
+        nonfinite += p.counters.nonfinite;
+        double v = kit_picture_mean(&p);
+        sum += v;
+        sum2 += v * v;
+        kit_picture_free(&p);
+    }
+    *mean = sum / SEEDS;
+    *variance = (sum2 / SEEDS - *mean * *mean) / (SEEDS - 1);
+    return nonfinite;
+}

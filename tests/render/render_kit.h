@@ -52,4 +52,8 @@ void kit_picture_free(struct kit_picture *p);
 /* Mean over the picture and channels. */
 double kit_picture_mean(const struct kit_picture *p);
 
+/* Mean of the picture and the variance of that mean, from 8 seeds; returns how many samples were no
+ * numbers. */
+uint64_t kit_estimate(const struct scene *s, struct job_spec spec, double *mean, double *variance);
+
 #endif

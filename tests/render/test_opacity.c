@@ -116,24 +116,6 @@ static void look(struct scene *s)
     s->camera.fov = 45;
 }
 
-/* Mean of the picture and the variance of that mean, from a few seeds. */
-static void estimate(const struct scene *s, struct job_spec spec, double *mean, double *variance)
-{
-    enum { SEEDS = 8 };
-    double sum = 0, sum2 = 0;
-    for (uint64_t seed = 1; seed <= SEEDS; seed++) {
-        spec.seed = seed;
-        struct kit_picture p = kit_render(s, &spec, 0);
-        assert_int_equal(p.counters.nonfinite, 0);
-        double v = kit_picture_mean(&p);
-        sum += v;
-        sum2 += v * v;
-        kit_picture_free(&p);
-    }
-    *mean = sum / SEEDS;
-    *variance = (sum2 / SEEDS - *mean * *mean) / (SEEDS - 1);
-}
-
 /* Of several hundred such comparisons, none is off by as much by chance. */
 static const double z_max = 5;
 
@@ -144,7 +126,7 @@ static void assert_profiles_agree(const struct scene *s, const char *what)
     for (int k = 0; k < 3; k++) {
         struct job_spec spec = kit_spec(16, k == 0 ? 512 : 64);
         spec.profile = profiles[k];
-        estimate(s, spec, &mean[k], &variance[k]);
+        assert_int_equal(kit_estimate(s, spec, &mean[k], &variance[k]), 0);
     }
     for (int k = 1; k < 3; k++) {
         double z = (mean[k] - mean[0]) / sqrt(variance[k] + variance[0] + 1e-30);

@@ -119,24 +119,6 @@ static void test_t13_integrating_sphere(void **state)
     assert_true(worst <= 1e-6);
 }
 
-/* Mean of the picture and the variance of that mean, from 8 seeds. */
-static void estimate(const struct scene *s, struct job_spec spec, double *mean, double *variance)
-{
-    enum { PICTURES = 8 };
-    double sum = 0, sum2 = 0;
-    for (uint64_t seed = 1; seed <= PICTURES; seed++) {
-        spec.seed = seed;
-        struct kit_picture p = kit_render(s, &spec, 0);
-        assert_int_equal(p.counters.nonfinite, 0);
-        double v = kit_picture_mean(&p);
-        sum += v;
-        sum2 += v * v;
-        kit_picture_free(&p);
-    }
-    *mean = sum / PICTURES;
-    *variance = (sum2 / PICTURES - *mean * *mean) / (PICTURES - 1);
-}
-
 /* The three profiles, with and without roulette, estimate the same light. */
 static void assert_profiles_agree(const struct scene *s, uint64_t spp)
 {
@@ -145,7 +127,7 @@ static void assert_profiles_agree(const struct scene *s, uint64_t spp)
         struct job_spec spec = kit_spec(24, spp);
         spec.profile = (enum job_profile)k;
         spec.rr_threshold = k == 0 ? 0.5 : 0;
-        estimate(s, spec, &mean[k], &variance[k]);
+        assert_int_equal(kit_estimate(s, spec, &mean[k], &variance[k]), 0);
         assert_true(mean[k] > 0);
     }
     for (int k = 1; k < 3; k++) {
