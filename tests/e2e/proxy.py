@@ -224,6 +224,19 @@ FAULTS = {f.__name__: f for f in (delay, throttle, split, truncate, flip, duplic
                                   black_hole)}
 
 
+def whole_frames(link, data):
+    """The frames that end within `data`, with what came before of the first; the rest is kept."""
+    buffer = link.state.get("buffer", b"") + data
+    while len(buffer) >= HEADER.size:
+        _, _, kind, _, _, meta, body = HEADER.unpack_from(buffer)
+        size = HEADER.size + meta + body
+        if len(buffer) < size:
+            break
+        yield NAMES.get(kind), meta, body, buffer[:size]
+        buffer = buffer[size:]
+    link.state["buffer"] = buffer
+
+
 def lie(encode, share=1.0):
     """A fault that puts other pixels into a share of the results; `encode` makes a result's body of
     floats. The frames are as good as any."""
@@ -231,18 +244,11 @@ def lie(encode, share=1.0):
         if direction == "down":
             link.pass_on(direction, data)
             return
-        buffer = link.state.get("buffer", b"") + data
-        while len(buffer) >= HEADER.size:
-            _, _, kind, _, _, meta, body = HEADER.unpack_from(buffer)
-            size = HEADER.size + meta + body
-            if len(buffer) < size:
-                break
-            whole, buffer = buffer[:size], buffer[size:]
-            if NAMES.get(kind) == "Result" and link.rng.random() < share:
+        for name, meta, _, whole in whole_frames(link, data):
+            if name == "Result" and link.rng.random() < share:
                 fields = decode("Result", whole[HEADER.size:HEADER.size + meta])
                 values = [0.25] * (fields["raw_bytes"] // 4)
                 whole = frame("Result", encode(values), **fields)
                 link.struck()
             link.pass_on(direction, whole)
-        link.state["buffer"] = buffer
     return fault

@@ -7,8 +7,7 @@ import time
 import pytest
 
 from farm import ROOT, Farm, tilery, wait_until
-from proxy import Proxy
-from wire_peer import HEADER, NAMES
+from proxy import Proxy, whole_frames
 
 ROOMS, SIDE = 12, 700  # 12 pictures of 1.47 MB: just over what makes them late
 
@@ -193,19 +192,13 @@ def damage(count):
         if direction == "up":
             link.pass_on(direction, data)
             return
-        buffer = link.state.get("buffer", b"") + data
-        while len(buffer) >= HEADER.size:
-            _, _, kind, _, _, meta, body = HEADER.unpack_from(buffer)
-            size = HEADER.size + meta + body
-            if len(buffer) < size:
-                break
-            whole, buffer = bytearray(buffer[:size]), buffer[size:]
-            if NAMES.get(kind) == "ChunkData" and body > 500_000 and left[0] > 0:
-                whole[size - body // 2] ^= 1
+        for name, _, body, whole in whole_frames(link, data):
+            if name == "ChunkData" and body > 500_000 and left[0] > 0:
+                at = len(whole) - body // 2
+                whole = whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1:]
                 left[0] -= 1
                 link.struck()
-            link.pass_on(direction, bytes(whole))
-        link.state["buffer"] = buffer
+            link.pass_on(direction, whole)
     return fault
 
 
