@@ -150,8 +150,9 @@ static void profiles_agree(void **state)
             struct scene s;
             char what[64];
             scene_init(&s);
-            add_lamp(&s, shape,
-                     add_material(&s, opacity, opacity == PLAIN || opacity == CUT_IN ? 0.25 : 0.9));
+            add_lamp(&s, (enum shape)shape,
+                     add_material(&s, (enum opacity)opacity,
+                                  opacity == PLAIN || opacity == CUT_IN ? 0.25 : 0.9));
             add_floor(&s, kit_diffuse(&s, 0.6, 0.6, 0.6));
             look(&s);
             snprintf(what, sizeof what, "%s, %s", shapes[shape], opacities[opacity]);
