@@ -1,6 +1,7 @@
 #include "common/exr_file.h"
 
 #include <openexr.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -9,6 +10,7 @@
 #include "common/image_parts.h"
 #include "common/log.h"
 #include "common/mem.h"
+#include "common/parallel.h"
 
 enum { ZIP_LEVEL = 4, TEXT_BYTES = 200, ALLOCATION_MAX = 1 << 30 };
 
@@ -39,14 +41,26 @@ static exr_context_initializer_t initializer(void *user_data, exr_error_handler_
 
 /* --- Writing ------------------------------------------------------------- */
 
+/* Chunks are deflated side by side and put one after the other, in their order. */
 struct writer {
     exr_context_t ctx;
     const struct exr_picture *picture;
     struct buf *out;
-    size_t start;       /* where the file begins in `out` */
-    uint32_t row_count; /* written */
-    exr_encode_pipeline_t encode;
-    bool encode_open;
+    size_t start; /* where the file begins in `out` */
+    uint32_t chunk_rows;
+
+    pthread_mutex_t lock;
+    pthread_cond_t moved;
+    size_t chunk_count;  /* put */
+    uint32_t row_count;  /* in them */
+    exr_result_t result; /* of a chunk that failed: none is put after it */
+};
+
+/* One chunk on its way into the file. */
+struct chunk_writer {
+    struct writer *w;
+    size_t index;
+    uint32_t row, row_count;
     exr_result_t (*compress)(exr_encode_pipeline_t *encode); /* the library's */
 };
 
@@ -123,11 +137,10 @@ static const struct exr_channel *channel_named(const struct exr_picture *p, cons
     return NULL;
 }
 
-static void aim_channels(struct writer *w, uint32_t row)
+static void aim_channels(const struct exr_picture *p, uint32_t row, exr_encode_pipeline_t *encode)
 {
-    const struct exr_picture *p = w->picture;
-    for (int i = 0; i < w->encode.channel_count; i++) {
-        exr_coding_channel_info_t *c = &w->encode.channels[i];
+    for (int i = 0; i < encode->channel_count; i++) {
+        exr_coding_channel_info_t *c = &encode->channels[i];
         const struct exr_channel *from = channel_named(p, c->channel_name);
         TL_ASSERT(from);
         c->user_data_type = EXR_PIXEL_FLOAT;
@@ -143,8 +156,8 @@ static void aim_channels(struct writer *w, uint32_t row)
  * 3.1.5 leaves a deflated chunk of just that size as it is, and noise makes such ones. */
 static exr_result_t compress_chunk(exr_encode_pipeline_t *encode)
 {
-    const struct writer *w = encode->encoding_user_data;
-    exr_result_t r = w->compress(encode);
+    const struct chunk_writer *c = encode->encoding_user_data;
+    exr_result_t r = c->compress(encode);
     if (r == EXR_ERR_SUCCESS && encode->compressed_bytes >= encode->packed_bytes) {
         memcpy(encode->compressed_buffer, encode->packed_buffer, encode->packed_bytes);
         encode->compressed_bytes = encode->packed_bytes;
@@ -152,40 +165,71 @@ static exr_result_t compress_chunk(exr_encode_pipeline_t *encode)
     return r;
 }
 
-static exr_result_t put_chunk(struct writer *w, uint32_t row)
+/* The library asks when a chunk may be put: once all before it are. */
+static exr_result_t wait_for_turn(exr_encode_pipeline_t *encode)
 {
-    exr_chunk_info_t chunk;
-    exr_result_t r = exr_write_scanline_chunk_info(w->ctx, 0, (int)(w->picture->y + row), &chunk);
-    if (r)
-        return r;
-    bool first = !w->encode_open;
-    r = first ? exr_encoding_initialize(w->ctx, 0, &chunk, &w->encode)
-              : exr_encoding_update(w->ctx, 0, &chunk, &w->encode);
-    w->encode_open = w->encode_open || r == EXR_ERR_SUCCESS;
-    if (r)
-        return r;
-    aim_channels(w, row);
-    if (first)
-        r = exr_encoding_choose_default_routines(w->ctx, 0, &w->encode);
-    if (first && r == EXR_ERR_SUCCESS) {
-        w->compress = w->encode.compress_fn;
-        w->encode.compress_fn = compress_chunk;
-        w->encode.encoding_user_data = w;
-    }
-    r = r ? r : exr_encoding_run(w->ctx, 0, &w->encode);
-    if (r == EXR_ERR_SUCCESS)
-        w->row_count += (uint32_t)chunk.height;
+    const struct chunk_writer *c = encode->encoding_user_data;
+    struct writer *w = c->w;
+    (void)pthread_mutex_lock(&w->lock);
+    while (w->chunk_count < c->index && w->result == EXR_ERR_SUCCESS)
+        (void)pthread_cond_wait(&w->moved, &w->lock);
+    exr_result_t r = w->result;
+    (void)pthread_mutex_unlock(&w->lock);
     return r;
+}
+
+static exr_result_t encode_chunk(struct chunk_writer *c)
+{
+    const struct writer *w = c->w;
+    exr_chunk_info_t info;
+    exr_encode_pipeline_t encode = EXR_ENCODE_PIPELINE_INITIALIZER;
+    exr_result_t r = exr_write_scanline_chunk_info(w->ctx, 0, (int)(w->picture->y + c->row), &info);
+    r = r ? r : exr_encoding_initialize(w->ctx, 0, &info, &encode);
+    if (r)
+        return r;
+    c->row_count = (uint32_t)info.height;
+    aim_channels(w->picture, c->row, &encode);
+    r = exr_encoding_choose_default_routines(w->ctx, 0, &encode);
+    if (r == EXR_ERR_SUCCESS) {
+        c->compress = encode.compress_fn;
+        encode.compress_fn = compress_chunk;
+        encode.yield_until_ready_fn = wait_for_turn;
+        encode.encoding_user_data = c;
+        r = exr_encoding_run(w->ctx, 0, &encode);
+    }
+    (void)exr_encoding_destroy(w->ctx, &encode);
+    return r;
+}
+
+static void chunk_turn(void *arg, size_t i)
+{
+    struct writer *w = arg;
+    struct chunk_writer c = {.w = w, .index = i, .row = (uint32_t)i * w->chunk_rows};
+    exr_result_t r = encode_chunk(&c);
+    (void)pthread_mutex_lock(&w->lock);
+    if (r == EXR_ERR_SUCCESS) {
+        w->chunk_count++;
+        w->row_count += c.row_count;
+    } else if (w->result == EXR_ERR_SUCCESS) {
+        w->result = r;
+    }
+    (void)pthread_cond_broadcast(&w->moved);
+    (void)pthread_mutex_unlock(&w->lock);
 }
 
 static exr_result_t put_rows(struct writer *w)
 {
     int32_t step = 0;
     exr_result_t r = exr_get_scanlines_per_chunk(w->ctx, 0, &step);
-    for (uint32_t row = 0; r == EXR_ERR_SUCCESS && row < w->picture->data_height;
-         row += (uint32_t)step)
-        r = put_chunk(w, row);
-    return r;
+    if (r)
+        return r;
+    w->chunk_rows = (uint32_t)step;
+    (void)pthread_mutex_init(&w->lock, NULL);
+    (void)pthread_cond_init(&w->moved, NULL);
+    parallel_for((w->picture->data_height + w->chunk_rows - 1) / w->chunk_rows, chunk_turn, w);
+    (void)pthread_cond_destroy(&w->moved);
+    (void)pthread_mutex_destroy(&w->lock);
+    return w->result;
 }
 
 static void check_picture(const struct exr_picture *p)
@@ -205,8 +249,6 @@ enum err exr_write(const struct exr_picture *picture, struct buf *out)
     if (r == EXR_ERR_SUCCESS) {
         r = put_header(&w);
         r = r ? r : put_rows(&w);
-        if (w.encode_open)
-            (void)exr_encoding_destroy(w.ctx, &w.encode);
         exr_result_t finish = exr_finish(&w.ctx);
         r = r ? r : finish;
     }

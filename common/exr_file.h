@@ -7,7 +7,7 @@
  * Read: single or multi part (the first flat part counts), scanline or tiled (level 0),
  * half, float, uint; NONE, RLE, ZIPS, ZIP, PIZ, PXR24. Refused by name: deep data,
  * B44, B44A, DWAA, DWAB, which the library version does not decode rightly.
- * One thread per call.
+ * One thread per call; exr_write deflates on more of its own (parallel.h).
  */
 #ifndef COMMON_EXR_FILE_H
 #define COMMON_EXR_FILE_H

@@ -1,5 +1,5 @@
 set(unit ${PROJECT_SOURCE_DIR}/tests/unit)
-foreach(name checksum dmath file_io half json job_spec models pictures scene_json)
+foreach(name checksum dmath file_io half json job_spec models parallel pictures scene_json)
   tilery_test(test_${name} LABEL unit LINKS tl_common m SOURCES ${unit}/test_${name}.c)
 endforeach()
 tilery_test(test_package_late LABEL unit LINKS tl_common m SOURCES ${unit}/test_package_late.c)

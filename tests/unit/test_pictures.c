@@ -148,6 +148,40 @@ static void exr_chunk_of_its_own_size(void **state)
     }
 }
 
+/* Chunks are deflated side by side: they stand in the file in their order all the same. */
+static void exr_bytes_are_the_same_each_time(void **state)
+{
+    (void)state;
+    enum { ROWS = 1000, RUNS = 10, VALUES = WIDTH * ROWS };
+    static float grey[VALUES];
+    const struct exr_channel channel = {"Y", grey, 1};
+    const struct exr_picture picture = {.width = WIDTH,
+                                        .height = ROWS,
+                                        .data_width = WIDTH,
+                                        .data_height = ROWS,
+                                        .channels = &channel,
+                                        .channel_count = 1};
+    struct buf first, again;
+    fill(grey, VALUES, 5);
+    buf_init(&first);
+    assert_int_equal(exr_write(&picture, &first), ERR_OK);
+    for (int run = 0; run < RUNS; run++) {
+        buf_init(&again);
+        assert_int_equal(exr_write(&picture, &again), ERR_OK);
+        assert_int_equal(again.bytes, first.bytes);
+        assert_memory_equal(again.data, first.data, first.bytes);
+        buf_release(&again);
+    }
+    struct exr_image back;
+    struct diag_list problems;
+    diag_init(&problems);
+    assert_int_equal(exr_read(first.data, first.bytes, "p.exr", NULL, 0, &back, &problems), ERR_OK);
+    assert_memory_equal(exr_image_plane(&back, "Y"), grey, sizeof grey);
+    exr_image_release(&back);
+    diag_release(&problems);
+    buf_release(&first);
+}
+
 static void damaged_exr_is_refused(void **state)
 {
     (void)state;
@@ -384,6 +418,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(exr_round_trips_exactly),
         cmocka_unit_test(exr_chunk_of_its_own_size),
+        cmocka_unit_test(exr_bytes_are_the_same_each_time),
         cmocka_unit_test(damaged_exr_is_refused),
         cmocka_unit_test(foreign_exr_forms_are_read),
         cmocka_unit_test(png_encodes_srgb_rounded_to_nearest),
