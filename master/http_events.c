@@ -95,15 +95,31 @@ void http_streams_tick(struct http *h)
             wake(s);
 }
 
+static void end(struct stream *s)
+{
+    s->ending = true;
+    if (s->suspended) {
+        s->suspended = false;
+        MHD_resume_connection(s->connection);
+    }
+}
+
 void http_streams_close(struct http *h)
 {
-    for (struct stream *s = h->streams; s; s = s->next) {
-        s->ending = true;
-        if (s->suspended) {
-            s->suspended = false;
-            MHD_resume_connection(s->connection);
-        }
-    }
+    for (struct stream *s = h->streams; s; s = s->next)
+        end(s);
+}
+
+void http_streams_end_one(struct http *h)
+{
+    struct stream *oldest = NULL;
+    for (struct stream *s = h->streams; s; s = s->next)
+        if (!s->ending)
+            oldest = s;
+    if (!oldest)
+        return;
+    end(oldest);
+    http_kick(h);
 }
 
 /* Where a reader that comes back goes on: after its last event if that was of this life. */

@@ -51,13 +51,16 @@ static struct guest *guest_of(struct MHD_Connection *c)
     return info ? info->socket_context : NULL;
 }
 
-/* Hangs up on who has said nothing of use for longest, or else has been reading for longest.
- * libmicrohttpd sees the end of that connection in its next turn, and accepts again. */
+/* Hangs up on who has said nothing of use for longest, or else has been reading for longest, or
+ * else listens for longest. libmicrohttpd sees the end of that connection in its next turn, and
+ * accepts again. */
 static void make_room(struct http *h)
 {
     struct guest *g = h->guests.idle.first ? h->guests.idle.first : h->guests.reading.first;
-    if (!g)
+    if (!g) {
+        http_streams_end_one(h);
         return;
+    }
     unlist(g);
     (void)shutdown(g->fd, SHUT_RDWR);
 }

@@ -66,7 +66,7 @@ struct http {
     bool kicked, running, stopping;
     uint64_t stall_ms;        /* until its next turn when it asks for one and nothing has arrived */
     struct request *requests; /* all that are known to us */
-    struct stream *streams;   /* open event streams */
+    struct stream *streams;   /* open event streams, newest first */
     uint64_t body_bytes;
     struct {
         struct guest_list idle, reading; /* longest so first */
@@ -124,9 +124,10 @@ void http_kick(struct http *h);
 
 /* Who holds a connection and asks nothing (never did, was refused, or not since its last answer),
  * or has sent less than HTTP_PROGRESS_BYTES of a body since, is hung up on, longest so first, when
- * as many are open as may be; then who has been reading an answer for longest. So strangers keep
- * nobody out. Event streams and requests that are worked on stay.
- * For MHD_OPTION_NOTIFY_CONNECTION, with the http as context. */
+ * as many are open as may be; then who has been reading an answer for longest; then the oldest
+ * event stream is ended, whose reader comes back after its last event. So strangers keep nobody
+ * out. Requests that are worked on stay. For MHD_OPTION_NOTIFY_CONNECTION, with the http as
+ * context. */
 void http_guest_notify(void *http, struct MHD_Connection *c, void **context,
                        enum MHD_ConnectionNotificationCode code);
 /* A request of this connection is worked on; was answered, broken off, or has sent a good part of
@@ -144,6 +145,7 @@ bool http_framing_clear(struct MHD_Connection *c);
 void http_get_events(struct request *r);
 void http_streams_wake(void *http); /* a new event */
 void http_streams_close(struct http *h);
+void http_streams_end_one(struct http *h); /* the oldest: its reader may come back (retry) */
 void http_streams_tick(struct http *h);
 
 /* --- Routes --------------------------------------------------------------- */

@@ -674,11 +674,12 @@ def test_connections_that_say_nothing(farm, call):
 
 @pytest.mark.parametrize("said", [
     [b"", b"GET / HT"],
-    [b"POST /api/v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 900000\r\n\r\n{"]],
-    ids=["nothing", "half-a-body"])
+    [b"POST /api/v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 900000\r\n\r\n{"],
+    [b"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n"]],
+    ids=["nothing", "half-a-body", "events"])
 def test_strangers_keep_nobody_out(tmp_path, said):
-    """More connections than there may be, all of which ask nothing, or send a body byte by byte:
-    whoever asks is answered.
+    """More connections than there may be, all of which ask nothing, send a body byte by byte, or
+    listen: whoever asks is answered.
 
     They kept the master's 1,000 connections for as long as they liked, and everybody out.
     """
