@@ -1,8 +1,11 @@
 #include "client/text_table.h"
 
+#include <locale.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
+#include <wchar.h>
 
 #include "common/mem.h"
 #include "common/utf8.h"
@@ -47,26 +50,52 @@ void text_table_addf(struct text_table *t, const char *format, ...)
     text_table_add(t, text);
 }
 
-/* Characters, not bytes, of UTF-8. */
-static size_t width_of(const char *text)
+/* The C library knows how wide characters are, in a locale whose wide characters are code points.
+ * This thread's locale is that one between the two calls; where there is none, each byte that
+ * begins a character is a column. */
+struct widths_locale {
+    locale_t own, before;
+};
+
+static struct widths_locale widths_begin(void)
 {
-    size_t width = 0;
-    for (; *text; text++)
-        width += ((unsigned char)*text & 0xc0) != 0x80;
-    return width;
+    struct widths_locale w = {.own = newlocale(LC_CTYPE_MASK, "C.UTF-8", (locale_t)0)};
+    if (w.own)
+        w.before = uselocale(w.own);
+    return w;
 }
 
-/* Bytes of the first `width` characters. */
-static size_t bytes_of(const char *text, size_t width)
+static void widths_end(const struct widths_locale *w)
 {
-    const char *p = text;
-    while (*p && width > 0) {
-        p++;
-        while (((unsigned char)*p & 0xc0) == 0x80)
-            p++;
-        width--;
+    if (!w->own)
+        return;
+    (void)uselocale(w->before);
+    freelocale(w->own);
+}
+
+/* The bytes of the first characters that take at most `columns_max` columns of a terminal, and how
+ * many these take: two for a character of China, Japan or Korea, none for a combining mark. */
+static size_t fit(const char *text, size_t columns_max, size_t *columns)
+{
+    const char *p = text, *end = text + strlen(text);
+    for (*columns = 0; p < end;) {
+        wchar_t c = 0;
+        int bytes = mbtowc(&c, p, (size_t)(end - p));
+        int wide = bytes > 0 ? wcwidth(c) : ((unsigned char)*p & 0xc0) != 0x80;
+        size_t more = wide >= 0 ? (size_t)wide : 1;
+        if (more > columns_max - *columns)
+            break;
+        *columns += more;
+        p += bytes > 0 ? bytes : 1;
     }
     return (size_t)(p - text);
+}
+
+static size_t width_of(const char *text)
+{
+    size_t columns;
+    (void)fit(text, SIZE_MAX, &columns);
+    return columns;
 }
 
 /* 16-colour codes of the states that want attention; words carry the meaning without them. */
@@ -86,16 +115,16 @@ static const char *color_of(const char *word)
 static void put_cell(const struct text_table *t, size_t column, const char *text, size_t width,
                      bool color, struct buf *out)
 {
-    size_t own = width_of(text), pad = own < width ? width - own : 0;
     bool right = t->align[column] == 'r', last = column + 1 == t->column_count;
     const char *code = color && (int)column == t->color_column ? color_of(text) : NULL;
+    const char *cut = width_of(text) > width && !last ? ".." : "";
+    size_t own, bytes = fit(text, width - strlen(cut), &own);
+    size_t pad = width - own - strlen(cut);
     if (right)
         buf_printf(out, "%*s", (int)pad, "");
-    const char *cut = own > width && !last ? ".." : "";
     if (code)
         buf_printf(out, "\x1b[%sm", code);
-    buf_printf(out, "%.*s%s", (int)bytes_of(text, own > width ? width - strlen(cut) : own), text,
-               cut);
+    buf_printf(out, "%.*s%s", (int)bytes, text, cut);
     if (code)
         buf_printf(out, "\x1b[0m");
     if (!right && !last)
@@ -115,6 +144,7 @@ static size_t shrink(size_t *width, size_t line, size_t columns)
 
 void text_table_print(const struct text_table *t, int columns, bool color, struct buf *out)
 {
+    struct widths_locale locale = widths_begin();
     size_t widths[TEXT_TABLE_COLUMNS_MAX] = {0}, total = 0;
     for (size_t c = 0; c < t->column_count; c++) {
         widths[c] = width_of(t->headings[c]);
@@ -134,5 +164,6 @@ void text_table_print(const struct text_table *t, int columns, bool color, struc
     for (size_t i = 0; i + t->column_count <= t->cell_count; i += t->column_count)
         for (size_t c = 0; c < t->column_count; c++)
             put_cell(t, c, t->cells[i + c], widths[c], color, out);
+    widths_end(&locale);
     out->failed |= t->failed;
 }

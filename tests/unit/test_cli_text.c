@@ -353,6 +353,38 @@ static void test_table(void **state)
     text_table_release(&t);
 }
 
+/* Columns stand under each other where characters are two columns wide, or none. */
+static void test_table_of_wide_characters(void **state)
+{
+    static const char *const headings[] = {"NAME", "DONE"};
+    struct text_table t;
+    struct buf out;
+    (void)state;
+    text_table_init(&t, headings, "ll");
+    t.name_column = 0;
+    text_table_add(&t, "\xe8\xbb\x8a\xe3\x81\xae\xe5\xba\xab"); /* a car's shed: six columns */
+    text_table_add(&t, "1%");
+    text_table_add(&t, "cafe\xcc\x81"); /* its accent apart */
+    text_table_add(&t, "2%");
+    buf_init(&out);
+    text_table_print(&t, 0, false, &out);
+    buf_put_u8(&out, 0);
+    assert_string_equal((const char *)out.data, "NAME    DONE\n"
+                                                "\xe8\xbb\x8a\xe3\x81\xae\xe5\xba\xab  1%\n"
+                                                "cafe\xcc\x81    2%\n");
+    /* Half a wide character is none. */
+    mem_free(t.cells[0]);
+    t.cells[0] = mem_strndup("a23456789\xe8\xbb\x8a\xe8\xbb\x8a\xe8\xbb\x8a", 99);
+    buf_clear(&out);
+    text_table_print(&t, 18, false, &out);
+    buf_put_u8(&out, 0);
+    assert_string_equal((const char *)out.data, "NAME          DONE\n"
+                                                "a23456789..   1%\n"
+                                                "cafe\xcc\x81          2%\n");
+    buf_release(&out);
+    text_table_release(&t);
+}
+
 static void test_report(void **state)
 {
     static const char report[] =
@@ -447,6 +479,7 @@ int main(void)
         cmocka_unit_test(test_json_lines),
         cmocka_unit_test(test_human),
         cmocka_unit_test(test_table),
+        cmocka_unit_test(test_table_of_wide_characters),
         cmocka_unit_test(test_report),
         cmocka_unit_test(test_report_before_the_first_worker),
         cmocka_unit_test(test_preview),
