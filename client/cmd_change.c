@@ -137,8 +137,9 @@ int command_priority(struct cli *cli)
     struct diag_list problems;
     diag_init(&problems);
     bool ok = cli_value_check(CLI_PRIORITY_N, text, &problems);
-    if (!ok)
-        cli_error("bad-value", NULL, "%s", problems.count ? problems.items[0].text : text);
+    if (!ok) /* it is said of "--priority": here it is an argument */
+        cli_error("bad-value", NULL, "%s",
+                  problems.count ? problems.items[0].text + strlen("--") : text);
     diag_release(&problems);
     if (!ok)
         return EXIT_USAGE;

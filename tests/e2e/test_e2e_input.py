@@ -281,7 +281,7 @@ USAGE = {
     "long name": (("submit", "a.json", "--name", "n" * 201), "201 bytes, must be at most 200"),
     "empty scene": (("render", "", "-o", "b.exr"), "must not be empty"),
     "empty job": (("status", ""), "must not be empty"),
-    "bad priority": (("priority", "j1", "high"), "whole number"),
+    "bad priority": (("priority", "j1", "high"), ": priority high: must be a whole number"),
     "help of nothing": (("help", "rendr"), "render"),
     "get without output": (("get", "j1"), "-o"),
     "get into a jpeg": (("get", "j1", "-o", "a.jpg"), ".png"),
