@@ -11,6 +11,8 @@ packages_test="libcmocka-dev clang-14 libclang-rt-14-dev clang-format-14 libembr
     binutils procps curl patch chromium fonts-dejavu-core"
 # Mitsuba's fast variant (tests/mitsuba/run); its wheel aborts with older ones.
 packages_peer="libllvm19"
+# Cycles (tests/cycles/run).
+packages_cycles="blender python3-numpy"
 packages_docker="docker.io docker-compose debootstrap"
 
 install_packages() {

@@ -1,4 +1,5 @@
-/* tests/bench/bench_render.c: pictures: how many seconds until the error is small, beside Mitsuba.
+/* tests/bench/bench_render.c: pictures: how many seconds until the error is small, beside Mitsuba
+ * and Cycles.
  *
  * Renders each scene in this process, on a few threads through render_unit(), at 2, 4, 8, ...
  * samples a pixel until the relMSE against a reference is below the targets, and gives the time at
@@ -7,11 +8,12 @@
  * The reference is ours, with another seed; its own noise, measured from its halves, is taken off.
  *
  * usage: bench_render [--quick] [--json FILE] [--scene FILE]... [--side N] [--threads N]
- *                     [--reference-spp N] [--runs N] [--peer llvm|scalar|none] [--cpu]
+ *                     [--reference-spp N] [--runs N] [--peer llvm|scalar|cycles|none] [--cpu]
  * To be run in the top folder. Ours includes building the scene; the peer's time leaves out loading
  * and compiling. --cpu counts processor time over the threads in place of the clock on the wall: on
- * a machine with other work it says what a quiet one would do. Without Mitsuba (tests/mitsuba/run)
- * "theirs" and "ratio" are null. --quick: small pictures, one target, under five minutes.
+ * a machine with other work it says what a quiet one would do. Without a peer (tests/mitsuba/run,
+ * tests/cycles/run) "theirs" and "ratio" are null; Cycles matches the Cornell boxes. --quick: small
+ * pictures, one target, under five minutes.
  */
 #include <errno.h>
 #include <getopt.h>
@@ -31,14 +33,20 @@
 #include "worker/render/render.h"
 #include "worker/scene/scene_build.h"
 
-enum { THREADS_MAX = 256, SCENES_MAX = 32, TARGETS = 2, STEPS_MAX = 24, PEERS = 2, RUNS_MAX = 99 };
+enum { THREADS_MAX = 256, SCENES_MAX = 32, TARGETS = 2, STEPS_MAX = 24, PEERS = 3, RUNS_MAX = 99 };
 
 static const double targets[TARGETS] = {0.01, 0.001};
 static const char *const default_scenes[] = {
     "scenes/cbox.json", "tests/mitsuba/scenes/glass_block.json", "scenes/glass_cbox.json",
     "tests/mitsuba/scenes/textured_mesh.json", "tests/mitsuba/scenes/veach_plates.json"};
-static const char *const peer_names[PEERS] = {"llvm", "scalar"};
-static const char *const peer_variants[PEERS] = {"llvm_ad_rgb", "scalar_rgb"};
+/* Each a command that takes a scene, --size, --threads, and what else stands here. */
+static const struct {
+    const char *name, *title, *command[3];
+} peer_list[PEERS] = {
+    {"llvm", "mitsuba llvm", {"tests/mitsuba/run", "bench", "--variant=llvm_ad_rgb"}},
+    {"scalar", "mitsuba scalar", {"tests/mitsuba/run", "bench", "--variant=scalar_rgb"}},
+    {"cycles", "cycles", {"tests/cycles/run"}},
+};
 
 struct options {
     const char *json, *scenes[SCENES_MAX];
@@ -236,7 +244,7 @@ static void race(struct contest *c, struct render_peer *peer, uint64_t seed, con
             break;
         double samples = (double)c->spec.spp * o->side * o->side;
         steps[count] = (struct step){p.seconds, relmse(&p, &c->reference) - c->noise};
-        printf("  %-6s %5llu spp %8.3f s %7.2f Msamples/s  relMSE %.3g\n", name,
+        printf("  %-14s %5llu spp %8.3f s %7.2f Msamples/s  relMSE %.3g\n", name,
                (unsigned long long)c->spec.spp, p.seconds, samples / p.seconds * 1e-6,
                steps[count].error);
         picture_release(&p);
@@ -299,7 +307,7 @@ static void report(FILE *json, const struct options *o, const char *scene, doubl
         return;
     fprintf(json, "%s\n  {\"scene\": \"%s\", \"work\": \"relMSE %g\", \"threads\": %d, ",
             *first ? "" : ",", scene, target, o->threads);
-    fprintf(json, theirs ? "\"peer\": \"mitsuba %s\", " : "\"peer\": null, ", peer);
+    fprintf(json, theirs ? "\"peer\": \"%s\", " : "\"peer\": null, ", peer);
     fprintf(json, "\"unit\": \"%s\", ", o->cpu ? "processor s / threads" : "s");
     put_number(json, "ours", mine);
     fprintf(json, ", ");
@@ -320,15 +328,21 @@ static bool start_peer(const struct options *o, const char *path, int which,
     char size[32], threads[16];
     snprintf(size, sizeof size, "%ux%u", o->side, o->side);
     snprintf(threads, sizeof threads, "%d", o->threads);
-    const char *const argv[] = {
-        "tests/mitsuba/run",  "bench", path, "--size", size, "--threads", threads, "--variant",
-        peer_variants[which], NULL};
+    const char *argv[9] = {NULL};
+    size_t count = 0;
+    while (count < 3 && peer_list[which].command[count]) {
+        argv[count] = peer_list[which].command[count];
+        count++;
+    }
+    const char *const rest[] = {path, "--size", size, "--threads", threads};
+    for (size_t i = 0; i < sizeof rest / sizeof *rest; i++)
+        argv[count++] = rest[i];
     *peer = (struct render_peer){0};
     if (!o->peers[which])
         return false;
     if (render_peer_start(peer, argv))
         return true;
-    printf("%s: no Mitsuba %s to compare with\n", path, peer_names[which]);
+    printf("%s: no %s to compare with\n", path, peer_list[which].title);
     return false;
 }
 
@@ -346,12 +360,12 @@ static void bench_rounds(struct contest *c, const char *path, FILE *json, bool *
         race(c, NULL, (uint64_t)run + 1, "ours", ours[run]);
         for (int k = 0; k < PEERS; k++)
             if (there[k])
-                race(c, &peers[k], (uint64_t)run + 1, peer_names[k], theirs[k][run]);
+                race(c, &peers[k], (uint64_t)run + 1, peer_list[k].title, theirs[k][run]);
     }
     for (int t = 0; t < TARGETS && targets[t] >= o->target_least; t++) {
         for (int k = 0; k < PEERS; k++)
             if (there[k])
-                report(json, o, path, targets[t], peer_names[k], ours, theirs[k], t, first);
+                report(json, o, path, targets[t], peer_list[k].title, ours, theirs[k], t, first);
         if (!any)
             report(json, o, path, targets[t], "", ours, NULL, t, first);
     }
@@ -388,7 +402,7 @@ static int usage(void)
 {
     fprintf(stderr, "usage: bench_render [--quick] [--json FILE] [--scene FILE]... [--side N] "
                     "[--threads N] [--reference-spp N] [--runs N] "
-                    "[--peer llvm|scalar|none] [--cpu]\n");
+                    "[--peer llvm|scalar|cycles|none] [--cpu]\n");
     return 2;
 }
 
@@ -411,7 +425,7 @@ static bool options_read(struct options *o, int argc, char **argv)
         {"cpu", no_argument, NULL, 'c'},           {NULL, 0, NULL, 0}};
     *o = (struct options){.threads = 2,
                           .runs = 3,
-                          .peers = {true, true},
+                          .peers = {true, true, true},
                           .side = 256,
                           .reference_spp = 2048,
                           .target_least = 0.001};
@@ -433,9 +447,10 @@ static bool options_read(struct options *o, int argc, char **argv)
         } else if (c == 'c') {
             o->cpu = true;
         } else if (c == 'p') {
+            bool any = false;
             for (int k = 0; k < PEERS; k++)
-                o->peers[k] = strcmp(optarg, peer_names[k]) == 0;
-            if (!o->peers[0] && !o->peers[1] && strcmp(optarg, "none") != 0)
+                any |= o->peers[k] = strcmp(optarg, peer_list[k].name) == 0;
+            if (!any && strcmp(optarg, "none") != 0)
                 return false;
         } else if (c == 'r') {
             o->reference_spp = count_of(optarg, 1 << 20);
