@@ -145,9 +145,11 @@ static bool reserve(struct sched *s, struct job *j, uint32_t worker)
 
 /* Among equals the job that was given the least thread-time so far goes first. Who comes anew, or
  * had nothing to do, begins where the one is that was given most, and nobody is ever further
- * behind it than a second of the whole farm: waiting gives no claim to everything later. `begin` is
- * the first of these equals in job_rank. */
-static void settle_claims(struct sched *s, uint32_t begin)
+ * behind it than a second of the whole farm: waiting gives no claim to everything later. So a new
+ * master needs no record of what an old one gave: that all begin level takes no more than this
+ * second from anybody. `begin` is the first of these equals in job_rank; gives the one behind the
+ * last. */
+static uint32_t settle_equals(struct sched *s, uint32_t begin, bool *work)
 {
     uint32_t end = begin;
     uint64_t most_ms = 0;
@@ -161,9 +163,20 @@ static void settle_claims(struct sched *s, uint32_t begin)
         struct job *j = &s->jobs[s->job_rank[i]];
         uint64_t claim_ms = j->contends ? (uint64_t)CLAIM_MS * (s->threads + 1) : 0;
         j->contends = job_has_work(s, j);
+        *work |= j->contends;
         if (j->contends && j->leased_ms + claim_ms < most_ms)
             j->leased_ms = most_ms - claim_ms;
     }
+    return end;
+}
+
+/* Once before workers are tried, not for each of them: true if any job has work. */
+static bool settle_claims(struct sched *s)
+{
+    bool work = false;
+    for (uint32_t i = 0; i < s->job_rank_count;)
+        i = settle_equals(s, i, &work);
+    return work;
 }
 
 /* A scene that the worker does not hold counts like a unit on half its threads. */
@@ -185,8 +198,6 @@ static uint32_t job_for(struct sched *s, uint32_t worker)
         struct job *j = &s->jobs[job];
         if (best != SLOT_NONE && j->priority < s->jobs[best].priority)
             break;
-        if (i == 0 || j->priority < s->jobs[s->job_rank[i - 1]].priority)
-            settle_claims(s, i);
         if (!job_has_work(s, j) || worker_barred(s, w, j))
             continue;
         if (reserve(s, j, worker))
@@ -445,15 +456,6 @@ static void announce(struct sched *s, uint32_t lease, struct sched_action *out)
     worker_job_open(s, l->worker, wj);
 }
 
-static bool farm_has_work(const struct sched *s)
-{
-    for (uint32_t i = 0; i < s->job_rank_count; i++) {
-        if (job_has_work(s, &s->jobs[s->job_rank[i]]))
-            return true;
-    }
-    return false;
-}
-
 void assign_rearm(struct sched *s)
 {
     s->went_without[0] = s->went_without[1] = 0;
@@ -474,9 +476,9 @@ static struct chain *list_to_try(struct sched *s, bool work)
 bool assign_next(struct sched *s, struct sched_action *out)
 {
     /* What a liar touched is about to be reset: nothing is built on it. */
-    if (s->liars_unsettled > 0)
+    if (s->liars_unsettled > 0 || s->starving.count + s->prefetch.count == 0)
         return false;
-    bool work = farm_has_work(s);
+    bool work = settle_claims(s);
     struct chain *list;
     while ((list = list_to_try(s, work)) != NULL) {
         uint32_t worker = list->head;
