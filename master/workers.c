@@ -135,8 +135,8 @@ void workers_news(struct farm *f, const struct sched_action *a)
                        "w%" PRIu64 " (%s) lost: its %" PRIu32
                        " units go to others, finished work stays",
                        w->id, w->name, a->losses);
-        log_info("workers", "%s id=w%" PRIu64 " name=%s units=%" PRIu32,
-                 w->said_goodbye ? "left" : "lost", w->id, w->name, a->losses);
+        log_info("workers", "%s id=w%" PRIu64 " name=%s units=%" PRIu32 " why=\"%s\"",
+                 w->said_goodbye ? "left" : "lost", w->id, w->name, a->losses, w->note);
         if (a->losses > 0)
             tell_jobs(f, text);
         tell(f, w, w->said_goodbye ? "left" : "lost", a->losses);
@@ -649,8 +649,8 @@ static void detach(struct farm *f, struct worker *w, enum err why)
                    : why == ERR_TIMEOUT ? "silent for 3 s"
                    : why == ERR_OK      ? "connection closed"
                                         : err_text(why));
-    log_info("workers", "connection lost id=w%" PRIu64 " name=%s why=\"%s\"", w->id, w->name,
-             why == ERR_OK ? "closed by the worker" : err_text(why));
+    log_debug("workers", "connection lost id=w%" PRIu64 " name=%s why=\"%s\"", w->id, w->name,
+              w->note);
     struct sched_event event = {.type = left ? SCHED_WORKER_LEFT : SCHED_WORKER_AWAY,
                                 .worker = w->id};
     farm_feed(f, &event); /* once it is gone, news of it come */

@@ -369,6 +369,8 @@ def test_silent_worker_is_lost(farm, job):
     report = farm.job(job)
     assert report["image_sha256"] == expected_sha()
     assert any("lost" in e["text"] for e in report["events"])
+    said = [line for line in farm.master.log().splitlines() if "lost" in line and "id=w1" in line]
+    assert len(said) == 1 and 'why="silent for 3 s"' in said[0], said
 
 
 def test_goodbye_returns_leases_at_once(farm, job):
@@ -483,7 +485,8 @@ def test_a_connection_that_breaks_costs_nothing(farm, job, noticed):
                      held=[held(lease, WAITING if i else BEGUN) for i, lease in enumerate(kept)])
     if noticed:
         first.close()
-        wait_until(lambda: "connection lost id=w1" in farm.master.log(), "the end", step=0.01)
+        wait_until(lambda: farm.request("GET", "/api/v1/workers")[1]["items"][0]["note"] ==
+                   "connection closed", "the end", step=0.01)
     again.send("Hello", **again.values)
     again.welcome()
     assert again.id == "w1"
