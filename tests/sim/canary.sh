@@ -1,7 +1,7 @@
 #!/bin/sh
 # canary.sh PROGRAM: a simulation with a bug in it must fail within its seeds; else the simulation is
 # blind. Exit 0: it failed.
-out=$("$1" --count 1500 2>&1)
+out=$("$1" --count 4000 2>&1)
 status=$?
 echo "$out" | tail -3
 if [ $status -eq 0 ]; then

@@ -169,6 +169,7 @@ struct sim_config sim_config_of(uint64_t seed)
     c.cell_cost = c.cost_us * (double)(UINT64_C(1) << sim_below(&r, 8)) / 16.0 + 1.0;
     /* Half of the workers must be enough to decide who lied. */
     c.tags = sim_chance(&r, 0.3) && c.liars == 0 && c.workers >= 6;
+    c.late = sim_chance(&r, 0.3) ? 1 + (uint32_t)sim_below(&r, 3) : 0;
     return c;
 }
 
@@ -277,6 +278,8 @@ static void dispatch(struct sim *sim, struct sim_event *e)
     case EV_WORKER_UP:
     case EV_LOADED:
     case EV_RENDERED:
+    case EV_BROUGHT:
+    case EV_ASK:
     case EV_CONTINUE:
     case EV_LEFT:
         worker_event(sim, e);

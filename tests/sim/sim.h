@@ -57,13 +57,14 @@ struct sim_config {
     bool handles_kept;             /* a restarted worker keeps its handle */
     int32_t poison_cell;           /* of job 0: kills whoever renders it; -1: none */
     double hang_share, fail_share; /* of units in the fault phase */
+    uint32_t late;                 /* pictures of a job that units ask for when they meet them */
     uint32_t check_every;          /* events between sched_check() */
     bool trace;                    /* print every action */
 };
 
 struct sim_stats {
     uint64_t events, messages, results, leases, copies, checks, crashes, master_crashes,
-        liars_found;
+        liars_found, asks;
     uint64_t virtual_us, ideal_us, spots, wasted_us, rendered_us;
 };
 
@@ -76,6 +77,8 @@ enum sim_event_type {
     EV_WORKER_UP, /* worker a */
     EV_LOADED,    /* worker a, life b, job c */
     EV_RENDERED,  /* worker a, life b, epoch c */
+    EV_BROUGHT,   /* worker a, life b, job c: a picture that units wait for is there */
+    EV_ASK,       /* worker a, life b, epoch c: its unit hangs and asks for chunks all the time */
     EV_CONTINUE,  /* worker a: SIGCONT */
     EV_LEFT,      /* worker a, life b: has drained, goes */
     EV_MASTER_UP,
@@ -131,6 +134,7 @@ struct sim_running {
     struct sim_lease lease;
     uint64_t cost_us;
     bool hung;
+    bool waits; /* for a picture */
 };
 
 enum sim_load { LOAD_NONE, LOAD_LOADING, LOAD_READY };
@@ -146,6 +150,8 @@ struct sim_worker {
     double slow; /* times the cost */
     bool liar, zombie;
     enum sim_load load[SIM_JOBS_MAX];
+    uint32_t late_left[SIM_JOBS_MAX]; /* pictures that it does not have yet */
+    bool asked[SIM_JOBS_MAX];         /* for one of them */
     struct sim_lease *queue;
     size_t queue_count, queue_capacity;
     struct sim_running running[SIM_THREADS_MAX];

@@ -48,6 +48,7 @@ static void add(struct sim_stats *sum, const struct sim_stats *s)
     sum->crashes += s->crashes;
     sum->master_crashes += s->master_crashes;
     sum->liars_found += s->liars_found;
+    sum->asks += s->asks;
     sum->virtual_us += s->virtual_us;
     sum->ideal_us += s->ideal_us;
     sum->spots += s->spots;
@@ -60,10 +61,12 @@ static void print_stats(const struct sim_stats *s, double seconds)
     (void)printf("  %.1f s for %.0f s of farm time (ideal %.0f); %" PRIu64 " events (%.0f/s), "
                  "%" PRIu64 " messages, %" PRIu64 " spots\n"
                  "  %" PRIu64 " leases, %" PRIu64 " copies, %" PRIu64 " checks; killed: %" PRIu64
-                 " workers, %" PRIu64 " masters; liars found: %" PRIu64 "\n",
+                 " workers, %" PRIu64 " masters; liars found: %" PRIu64
+                 "; pictures asked for: %" PRIu64 "\n",
                  seconds, 1e-6 * (double)s->virtual_us, 1e-6 * (double)s->ideal_us, s->events,
                  (double)s->events / (seconds > 0.0 ? seconds : 1.0), s->messages, s->spots,
-                 s->leases, s->copies, s->checks, s->crashes, s->master_crashes, s->liars_found);
+                 s->leases, s->copies, s->checks, s->crashes, s->master_crashes, s->liars_found,
+                 s->asks);
 }
 
 static int run_seeds(uint64_t first, uint64_t count, double seconds)
@@ -90,10 +93,11 @@ static void print_config(const struct sim_config *c)
     for (uint32_t i = 0; i < c->jobs; i++)
         (void)printf(" %ux%u", c->cells[i], c->blocks[i]);
     (void)printf(
-        "; verify %.2f, spot %.0f us, latency %u us, faults for %.1f s every %.2f s%s%s%s\n",
+        "; verify %.2f, spot %.0f us, latency %u us, faults for %.1f s every %.2f s%s%s%s%s\n",
         c->verify, c->cost_us, c->latency_us, 1e-6 * (double)c->fault_us,
         1e-6 * (double)c->fault_every_us, c->master_crashes ? ", master dies" : "",
-        c->poison_cell >= 0 ? ", poison" : "", c->tags ? ", tags" : "");
+        c->poison_cell >= 0 ? ", poison" : "", c->tags ? ", tags" : "",
+        c->late > 0 ? ", late pictures" : "");
 }
 
 static int run_one(uint64_t seed, bool trace)

@@ -401,6 +401,17 @@ static void on_result(struct sim *sim, uint64_t handle, const tilery_Result *r,
     mem_free(hashes);
 }
 
+/* A picture that a worker lacks; of its contents only the name matters here. */
+static void give_chunk(struct sim *sim, uint32_t conn, const tilery_ChunkRequest *asked)
+{
+    static struct message m;
+    static const char body[8];
+    m = (struct message){.type = FRAME_CHUNK_DATA};
+    memcpy(m.chunk_data.sha256, asked->sha256, sizeof m.chunk_data.sha256);
+    m.chunk_data.raw_bytes = sizeof body;
+    net_send(sim, conn, SIDE_WORKER, &m, body, sizeof body);
+}
+
 void master_message(struct sim *sim, uint32_t conn, const struct message *m,
                     const unsigned char *body, size_t body_bytes)
 {
@@ -427,6 +438,10 @@ void master_message(struct sim *sim, uint32_t conn, const struct message *m,
         e.type = SCHED_UNIT_FAILED;
         e.job = m->unit_failed.job;
         e.epoch = m->unit_failed.epoch;
+        break;
+    case FRAME_CHUNK_REQUEST:
+        give_chunk(sim, conn, &m->chunk_request);
+        e.type = SCHED_WORKER_ASKS;
         break;
     case FRAME_GOODBYE:
         e.type = SCHED_WORKER_LEFT;

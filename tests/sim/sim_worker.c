@@ -145,6 +145,52 @@ static void queue_remove(struct sim_worker *w, size_t at)
     memmove(&w->queue[at], &w->queue[at + 1], (--w->queue_count - at) * sizeof *w->queue);
 }
 
+static void drop_queued(struct sim_worker *w, uint64_t job)
+{
+    for (size_t i = 0; i < w->queue_count;) {
+        if (job == 0 || w->queue[i].job == job)
+            queue_remove(w, i);
+        else
+            i++;
+    }
+}
+
+/* The name of a chunk is the job whose picture it is. */
+static void say_chunk_request(struct sim *sim, const struct sim_worker *w, uint64_t job)
+{
+    static struct message m;
+    m = (struct message){.type = FRAME_CHUNK_REQUEST};
+    m.chunk_request.sha256[0] = (uint8_t)job;
+    sim->stats.asks++;
+    net_send(sim, w->conn, SIDE_MASTER, &m, NULL, 0);
+}
+
+/* A unit has met a picture that is not there, and waits for it. */
+static void ask_for_picture(struct sim *sim, struct sim_worker *w, uint64_t job)
+{
+    if (!w->asked[job - 1])
+        say_chunk_request(sim, w, job);
+    w->asked[job - 1] = true;
+}
+
+static void begin(struct sim *sim, uint32_t worker, const struct sim_running *r)
+{
+    sim_push(
+        sim, sim->now_us + r->cost_us,
+        (struct sim_event){
+            .type = EV_RENDERED, .a = worker, .b = sim->workers[worker].life, .c = r->lease.epoch});
+}
+
+/* Now and then one that hangs does so while it asks for more and more. */
+static void ask_later(struct sim *sim, uint32_t worker, const struct sim_running *r)
+{
+    if (sim->c.late > 0)
+        sim_push(
+            sim, sim->now_us + 500000 + sim_spread(sim, 1000000),
+            (struct sim_event){
+                .type = EV_ASK, .a = worker, .b = sim->workers[worker].life, .c = r->lease.epoch});
+}
+
 /* Threads take the oldest leases of jobs whose scene is there. */
 static void render_next(struct sim *sim, uint32_t worker)
 {
@@ -168,10 +214,73 @@ static void render_next(struct sim *sim, uint32_t worker)
             worker_kill(sim, worker, false, 100000 + sim_below(sim, 400000));
             return;
         }
-        if (!r->hung)
-            sim_push(
-                sim, sim->now_us + r->cost_us,
-                (struct sim_event){.type = EV_RENDERED, .a = worker, .b = w->life, .c = l.epoch});
+        r->waits = !r->hung && w->late_left[l.job - 1] > 0 && sim_chance(sim, 0.3);
+        if (r->hung)
+            ask_later(sim, worker, r);
+        else if (r->waits)
+            ask_for_picture(sim, w, l.job);
+        else
+            begin(sim, worker, r);
+    }
+}
+
+/* Units of the job that wait go on, or with `drop` end. */
+static void end_waits(struct sim *sim, uint32_t worker, uint64_t job, bool drop)
+{
+    struct sim_worker *w = &sim->workers[worker];
+    w->asked[job - 1] = false;
+    for (uint32_t i = 0; i < w->running_count;) {
+        struct sim_running *r = &w->running[i];
+        bool mine = r->waits && r->lease.job == job;
+        r->waits &= !mine;
+        if (mine && drop) {
+            *r = w->running[--w->running_count];
+            continue;
+        }
+        if (mine)
+            begin(sim, worker, r);
+        i++;
+    }
+}
+
+static void brought(struct sim *sim, uint32_t worker, uint64_t job)
+{
+    struct sim_worker *w = &sim->workers[worker];
+    if (!w->asked[job - 1])
+        return;
+    if (!sim->healed && sim_chance(sim, sim->c.fail_share)) {
+        w->load[job - 1] = LOAD_NONE;
+        drop_queued(w, job);
+        end_waits(sim, worker, job, true);
+        say_of_job(sim, w, FRAME_JOB_FAILED, job);
+    } else {
+        w->late_left[job - 1]--;
+        end_waits(sim, worker, job, false);
+        if (w->welcomed)
+            say_of_job(sim, w, FRAME_JOB_READY, job);
+    }
+    render_next(sim, worker);
+}
+
+static void on_chunk(struct sim *sim, uint32_t worker, uint64_t job)
+{
+    const struct sim_worker *w = &sim->workers[worker];
+    if (w->asked[job - 1])
+        sim_push(sim, sim->now_us + 1000 + sim_spread(sim, 300000),
+                 (struct sim_event){.type = EV_BROUGHT, .a = worker, .b = w->life, .c = job});
+}
+
+/* A unit that hangs asks for what nobody waits for. */
+static void ask_on(struct sim *sim, uint32_t worker, uint64_t epoch)
+{
+    const struct sim_worker *w = &sim->workers[worker];
+    for (uint32_t i = 0; i < w->running_count; i++) {
+        const struct sim_running *r = &w->running[i];
+        if (r->lease.epoch != epoch || !r->hung)
+            continue;
+        if (w->welcomed)
+            say_chunk_request(sim, w, r->lease.job);
+        ask_later(sim, worker, r);
     }
 }
 
@@ -226,16 +335,6 @@ static void on_job_info(struct sim *sim, uint32_t worker, uint64_t job)
     w->load[job - 1] = LOAD_LOADING;
     sim_push(sim, sim->now_us + 1000 + sim_spread(sim, 100000),
              (struct sim_event){.type = EV_LOADED, .a = worker, .b = w->life, .c = job});
-}
-
-static void drop_queued(struct sim_worker *w, uint64_t job)
-{
-    for (size_t i = 0; i < w->queue_count;) {
-        if (job == 0 || w->queue[i].job == job)
-            queue_remove(w, i);
-        else
-            i++;
-    }
 }
 
 static void loaded(struct sim *sim, uint32_t worker, uint64_t job)
@@ -321,6 +420,9 @@ void worker_message(struct sim *sim, uint32_t worker, const struct message *m)
     case FRAME_WELCOME:
         w->welcomed = true;
         told_gone(sim, w);
+        for (uint32_t i = 0; i < sim->c.jobs; i++)
+            if (w->asked[i])
+                say_chunk_request(sim, w, i + 1);
         render_next(sim, worker);
         for (size_t i = 0; i < w->unacked_count; i++)
             say_result(sim, w, &w->unacked[i]);
@@ -331,6 +433,10 @@ void worker_message(struct sim *sim, uint32_t worker, const struct message *m)
     case FRAME_JOB_END:
         w->load[m->job_end.job - 1] = LOAD_NONE;
         drop_queued(w, m->job_end.job);
+        end_waits(sim, worker, m->job_end.job, true);
+        break;
+    case FRAME_CHUNK_DATA:
+        on_chunk(sim, worker, m->chunk_data.sha256[0]);
         break;
     case FRAME_LEASE:
         on_lease(sim, worker, &m->lease);
@@ -366,6 +472,9 @@ static void reborn(struct sim *sim, struct sim_worker *w)
     if (w->handle == 0 || !sim->c.handles_kept)
         w->handle = sim->handle_next++;
     memset(w->load, 0, sizeof w->load);
+    memset(w->asked, 0, sizeof w->asked);
+    for (int i = 0; i < SIM_JOBS_MAX; i++)
+        w->late_left[i] = sim->c.late;
 }
 
 void worker_init(struct sim *sim, uint32_t worker)
@@ -454,9 +563,7 @@ void worker_heal(struct sim *sim, uint32_t worker)
         if (!r->hung)
             continue;
         r->hung = false;
-        sim_push(sim, sim->now_us + r->cost_us,
-                 (struct sim_event){
-                     .type = EV_RENDERED, .a = worker, .b = w->life, .c = r->lease.epoch});
+        begin(sim, worker, r);
     }
 }
 
@@ -502,6 +609,12 @@ void worker_event(struct sim *sim, const struct sim_event *e)
         break;
     case EV_RENDERED:
         rendered(sim, e->a, e->c);
+        break;
+    case EV_BROUGHT:
+        brought(sim, e->a, e->c);
+        break;
+    case EV_ASK:
+        ask_on(sim, e->a, e->c);
         break;
     case EV_LEFT:
         worker_leave(sim, e->a);
