@@ -246,7 +246,8 @@ for scene_name, made in SCENES.items():
                kind if number.startswith(EVERYWHERE) else scene_name.rpartition(" ggx")[1])
         if key not in seen:
             seen.add(key)
-            CASES.append((scene_name, number, path, dict.fromkeys(VALUES) | dict(ends(node))))
+            grey = "minimum" in node  # a colour; places and directions have no least value
+            CASES.append((scene_name, number, path, dict.fromkeys(VALUES) | dict(ends(node)), grey))
 
 
 def test_every_number_of_the_schema_is_tried():
@@ -265,24 +266,25 @@ def fresh(made):
     return json.loads(json.dumps(made))
 
 
-def forms(made, path):
-    """The scene with the place to fill in: one element of a list, and for long runs all of them."""
+def forms(made, path, grey):
+    """The scene with the place to fill in, and True if that is refused whatever is filled in: one
+    element of a list, and for long runs all of them, and one number in place of three."""
     old = at(made, path)
     new = fresh(made)
     if not isinstance(old, list):
         at(new, path[:-1])[path[-1]] = "@@"
-        yield new
+        yield new, False
         return
     at(new, path)[len(old) // 2] = "@@"
-    yield new
+    yield new, False
     if LONG:
         new = fresh(made)
         at(new, path[:-1])[path[-1]] = ["@@"] * len(old)
-        yield new
+        yield new, False
         if len(old) == 3:
-            new = copy.deepcopy(made)
+            new = fresh(made)
             at(new, path[:-1])[path[-1]] = "@@"
-            yield new
+            yield new, not grey
 
 
 def run(folder, *arguments):
@@ -348,14 +350,15 @@ def judge(folder, form, number, path, value, status):
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c[0]}: {c[1].strip('.')}")
 def test_scene(tmp_path, case):
-    scene_name, number, path, values = case
+    scene_name, number, path, values, grey = case
     if SLOW > 1 and not LONG:
         values = dict(list(values.items())[CASES.index(case) % 3::3])
     exr_pixels.write(tmp_path / "bumps.exr",
                      numpy.random.default_rng(1).random((8, 8, 3), dtype="f4"))
     (tmp_path / "cases").mkdir()
-    tried = [(tmp_path / "cases" / f"{i}{value}", form, number, path, value, status)
-             for i, form in enumerate(forms(SCENES[scene_name], path))
+    tried = [(tmp_path / "cases" / f"{i}{value}", form, number, path, value,
+              3 if refused else status)
+             for i, (form, refused) in enumerate(forms(SCENES[scene_name], path, grey))
              for value, status in values.items()]
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
         wrong = [w for w in pool.map(lambda t: judge(*t), tried) if w]
