@@ -92,6 +92,16 @@ static enum err own_mesh(struct assimp_import *a, const struct aiMesh *from, con
     return import_add_mesh(a->im, &mesh, out);
 }
 
+/* An object, and which node shows it. */
+static enum err add_shown(struct import *im, const struct scene_object *object, uint32_t node)
+{
+    if (!mem_grow((void **)&im->object_nodes, im->object_node_count, &im->object_node_capacity,
+                  sizeof *im->object_nodes))
+        return ERR_NOMEM;
+    im->object_nodes[im->object_node_count++] = node;
+    return import_add_object(im, object);
+}
+
 static enum err add_object(struct assimp_import *a, const struct assimp_node *n, unsigned index)
 {
     if (index >= a->from->mNumMeshes)
@@ -117,7 +127,7 @@ static enum err add_object(struct assimp_import *a, const struct assimp_node *n,
         memcpy(object.radiance, e, sizeof object.radiance);
         a->im->has_lamp |= fmax(e[0], fmax(e[1], e[2])) > 1;
     }
-    return import_add_object(a->im, &object);
+    return add_shown(a->im, &object, in_place ? (uint32_t)(n - a->nodes) : SCENE_NONE);
 }
 
 /* --- Cameras and lights of formats other than glTF ------------------------ */

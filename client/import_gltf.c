@@ -150,6 +150,7 @@ void gltf_close(struct gltf *t)
     mem_free(t->material_of);
     mem_free(t->emission);
     mem_free(t->uv_sets);
+    mem_free(t->object_nodes);
     json_get_close(&t->g);
 }
 
@@ -344,6 +345,9 @@ static void take_geometry(struct gltf *t, struct import *geometry)
     t->im->vertex_count += geometry->vertex_count;
     t->im->point_count += geometry->point_count;
     t->im->line_count += geometry->line_count;
+    t->object_nodes = geometry->object_nodes;
+    t->object_node_count = geometry->object_node_count;
+    geometry->object_nodes = NULL;
     from->meshes = NULL;
     from->objects = NULL;
     from->mesh_count = 0;

@@ -54,6 +54,8 @@ struct gltf {
     uint32_t *material_of;  /* glTF material -> ours; at [count] the default one */
     double (*emission)[3];  /* what objects of that material emit as area lights */
     unsigned char *uv_sets; /* of each material */
+    uint32_t *object_nodes; /* of each object that came from the child: struct import's */
+    size_t object_node_count;
 };
 
 /* Takes apart a GLB file or takes the text as it is, and parses the JSON. */

@@ -16,6 +16,10 @@
  * 4e-4 off; what is off by more is no rotation but a mistake, and would scale or shear. */
 #define ROTATION_SLACK 0.01
 
+/* How far the last row of a node's matrix may be from 0 0 0 1: the rounding of a product of float
+ * matrices. What is off by more would project or scale, which no exporter means. */
+#define LAST_ROW_SLACK 1e-6
+
 struct check {
     struct gltf *t;
     uint64_t *buffer_bytes, *view_bytes, *view_stride; /* by index */
@@ -243,6 +247,18 @@ static void check_skins(struct check *c)
 
 /* --- Nodes --------------------------------------------------------------- */
 
+/* Matrices come column by column. What rounding has left in the last row is taken for 0 0 0 1. */
+static void check_affine(struct check *c, const struct json *node, const double m[16])
+{
+    if (fabs(m[3]) <= LAST_ROW_SLACK && fabs(m[7]) <= LAST_ROW_SLACK &&
+        fabs(m[11]) <= LAST_ROW_SLACK && fabs(m[15] - 1) <= LAST_ROW_SLACK)
+        return;
+    json_get_problem(&c->t->g, DIAG_ERROR, json_get_member(node, "matrix"), "bad-transform", NULL,
+                     "a last row of %.6g %.6g %.6g %.6g, expected 0 0 0 1", m[3], m[7], m[11],
+                     m[15]);
+    c->failed = true;
+}
+
 /* Entries that are there lie within `limit`; they go to `out`. */
 static bool check_entries(struct check *c, const struct json *node, const char *key, size_t count,
                           double limit, double *out)
@@ -264,7 +280,9 @@ bool gltf_is_rotation(const double turn[4], double *length)
 static void check_node(struct check *c, const struct json *node)
 {
     double entries[16], turn[4] = {0, 0, 0, 1}, length;
-    (void)check_entries(c, node, "matrix", 16, GLTF_TRANSFORM_MAX, entries);
+    if (json_get_member(node, "matrix") &&
+        check_entries(c, node, "matrix", 16, GLTF_TRANSFORM_MAX, entries))
+        check_affine(c, node, entries);
     (void)check_entries(c, node, "translation", 3, GLTF_TRANSFORM_MAX, entries);
     (void)check_entries(c, node, "scale", 3, GLTF_TRANSFORM_MAX, entries);
     if (!check_entries(c, node, "rotation", 4, GLTF_TRANSFORM_MAX, turn))

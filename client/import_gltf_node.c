@@ -20,7 +20,7 @@ struct place {
 struct walk {
     struct gltf *t;
     struct place *places;
-    size_t count, capacity;
+    size_t count, capacity, root_count;
     bool *seen;
     const struct json *camera; /* the one to use, and its place */
     double camera_world[16];
@@ -111,6 +111,7 @@ static enum err list_places(struct walk *w)
     if (!scene)
         scene = scenes->items[0];
     TL_TRY(add_children(w, json_get_member(scene, "nodes"), identity));
+    w->root_count = w->count;
     for (size_t i = 0; i < w->count; i++) {
         const struct json *node = w->t->tables[GLTF_NODES].items[w->places[i].node];
         double world[16];
@@ -118,6 +119,26 @@ static enum err list_places(struct walk *w)
         TL_TRY(add_children(w, json_get_member(node, "children"), world));
     }
     return ERR_OK;
+}
+
+/* From the child's count of nodes to places: before several roots assimp has one of its own. The
+ * child works in float, so its places of objects give way to those of the file. */
+static void place_objects(struct walk *w)
+{
+    struct gltf *t = w->t;
+    uint32_t roots_before = w->root_count > 1;
+    for (size_t i = 0; i < t->object_node_count; i++) {
+        uint32_t node = t->object_nodes[i];
+        if (node == SCENE_NONE || node < roots_before || node - roots_before >= w->count) {
+            t->object_nodes[i] = SCENE_NONE;
+            continue;
+        }
+        t->object_nodes[i] = node - roots_before;
+        const double *world = w->places[node - roots_before].world;
+        if (scene_transform_valid(world))
+            memcpy(t->im->scene.objects[i].transform, world,
+                   sizeof t->im->scene.objects[i].transform);
+    }
 }
 
 /* --- Cameras ------------------------------------------------------------- */
@@ -282,15 +303,6 @@ static enum err read_attribute(struct gltf *t, const struct json *attributes, co
     return ERR_OK;
 }
 
-/* True if an object is what the node shows: the geometry reader works in float. */
-static bool is_at(const double a[16], const double b[16])
-{
-    for (int i = 0; i < 12; i++)
-        if (fabs(a[i] - b[i]) > 1e-5 * (1 + fabs(b[i])))
-            return false;
-    return true;
-}
-
 static enum err add_copies(struct import *im, size_t object, const struct place *p,
                            double *const trs[3], size_t count)
 {
@@ -349,7 +361,7 @@ static enum err take_instances(struct walk *w, const struct place *p)
     const struct json *x = gltf_extension(node, "EXT_mesh_gpu_instancing");
     const struct json *attributes = json_get_member(x, "attributes");
     double *trs[3] = {NULL, NULL, NULL};
-    size_t count = 0, objects = t->im->scene.object_count;
+    size_t count = 0;
     if (!attributes)
         return ERR_OK;
     enum err e = read_attribute(t, attributes, "TRANSLATION", 3, &trs[0], &count);
@@ -359,8 +371,8 @@ static enum err take_instances(struct walk *w, const struct place *p)
         e = read_attribute(t, attributes, "SCALE", 3, &trs[2], &count);
     if (e == ERR_OK && !check_copies(t, attributes, trs, count))
         e = ERR_INPUT;
-    for (size_t i = 0; i < objects && e == ERR_OK && count > 0; i++)
-        if (is_at(t->im->scene.objects[i].transform, p->world))
+    for (size_t i = 0; i < t->object_node_count && e == ERR_OK && count > 0; i++)
+        if (t->object_nodes[i] == (size_t)(p - w->places))
             e = add_copies(t->im, i, p, trs, count);
     if (count == 0 && e == ERR_OK)
         json_get_problem(&t->g, DIAG_WARNING, x, "left-out", NULL,
@@ -374,6 +386,8 @@ enum err gltf_nodes(struct gltf *t)
 {
     struct walk w = {.t = t, .seen = mem_calloc(t->tables[GLTF_NODES].count + 1, sizeof(bool))};
     enum err e = w.seen ? list_places(&w) : ERR_NOMEM;
+    if (e == ERR_OK)
+        place_objects(&w);
     for (size_t i = 0; i < w.count && e == ERR_OK; i++) {
         consider_camera(&w, &w.places[i]);
         e = take_light(&w, &w.places[i]);

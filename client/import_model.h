@@ -42,6 +42,10 @@ struct import {
     uint64_t vertex_count; /* seen, for what to say of a model without a face */
     uint64_t point_count, line_count; /* elements left out */
     uint64_t told;                    /* bit per IMPORT_ONCE: what has been said */
+    /* Of a scene that comes from the child, one for each object: the node that shows it, nodes
+     * counted breadth first; SCENE_NONE if its vertices are in the world. Else empty. */
+    uint32_t *object_nodes;
+    size_t object_node_count, object_node_capacity;
 };
 
 TL_NODISCARD enum err import_init(struct import *im, const char *path, struct diag_list *problems);

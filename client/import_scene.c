@@ -30,6 +30,7 @@ void import_release(struct import *im)
         mem_free(im->sources[i].data);
     }
     mem_free(im->sources);
+    mem_free(im->object_nodes);
     name_table_release(&im->material_names);
     name_table_release(&im->texture_names);
     name_table_release(&im->source_names);

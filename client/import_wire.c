@@ -55,6 +55,13 @@ static void put_pictures(struct buf *out, const struct import_message *m)
     }
 }
 
+static void put_nodes(struct buf *out, const struct import *im)
+{
+    buf_put_u32(out, (uint32_t)im->object_node_count);
+    for (size_t i = 0; i < im->object_node_count; i++)
+        buf_put_u32(out, im->object_nodes[i]);
+}
+
 static enum err send_all(int fd, const void *data, size_t bytes)
 {
     const char *at = data;
@@ -113,6 +120,7 @@ enum err import_wire_send(int fd, const struct import *im, const struct import_m
     buf_put_f64(&head, im->aspect);
     put_said(&head, im->problems);
     put_pictures(&head, m);
+    put_nodes(&head, im);
     enum err e = buf_status(&head);
     if (e == ERR_OK && result == ERR_OK)
         e = send_package(fd, &head, &im->scene);
@@ -168,6 +176,19 @@ static enum err get_pictures(struct buf_reader *in, struct import_message *m)
         m->pictures[m->count] = (struct import_picture){0};
         get_picture(in, &m->pictures[m->count++]);
     }
+    return buf_reader_status(in);
+}
+
+static enum err get_nodes(struct buf_reader *in, struct import *im)
+{
+    uint32_t count = buf_get_u32(in);
+    if (in->failed || count > buf_left(in) / sizeof *im->object_nodes)
+        return ERR_CORRUPT;
+    im->object_nodes = mem_alloc_array(count ? count : 1, sizeof *im->object_nodes);
+    if (!im->object_nodes)
+        return ERR_NOMEM;
+    for (; im->object_node_count < count; im->object_node_count++)
+        im->object_nodes[im->object_node_count] = buf_get_u32(in);
     return buf_reader_status(in);
 }
 
@@ -265,6 +286,7 @@ enum err import_wire_get(const void *data, size_t bytes, struct import *im,
     im->aspect = buf_get_f64(&in);
     get_said(&in, im);
     TL_TRY(get_pictures(&in, m));
+    TL_TRY(get_nodes(&in, im));
     if (result != ERR_OK)
         return result == ERR_NOMEM ? ERR_LIMIT : result < ERR_COUNT ? ERR_INPUT : ERR_CORRUPT;
     struct scene scene;
@@ -272,5 +294,5 @@ enum err import_wire_get(const void *data, size_t bytes, struct import *im,
     scene_release(&im->scene);
     im->scene = scene;
     note_capacities(im);
-    return ERR_OK;
+    return im->object_node_count == scene.object_count ? ERR_OK : ERR_CORRUPT;
 }

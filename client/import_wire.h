@@ -13,7 +13,7 @@
 #include "common/buf.h"
 
 enum {
-    IMPORT_WIRE_VERSION = 1,
+    IMPORT_WIRE_VERSION = 2,
     IMPORT_WIRE_SAID_MAX = 64,
     IMPORT_WIRE_PICTURES_MAX = 1 << 14,
     IMPORT_WIRE_TEXT_BYTES_MAX = 4096,

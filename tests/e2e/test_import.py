@@ -392,6 +392,10 @@ def test_vertices_in_integers(tmp_path, binary):
     ({"nodes": [{"mesh": 0, "scale": [1, 1, -1e38]}]}, "$.nodes[0].scale[2]"),
     ({"nodes": [{"mesh": 0, "matrix": [1e35, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}]},
      "$.nodes[0].matrix[0]"),
+    ({"nodes": [{"mesh": 0, "matrix": [1, 0, 0, 0.5, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}]},
+     "$.nodes[0].matrix: a last row of 0.5 0 0 1, expected 0 0 0 1"),
+    ({"nodes": [{"mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2]}]},
+     "$.nodes[0].matrix: a last row of 0 0 0 2, expected 0 0 0 1"),
     ({"nodes": [{"mesh": 0}, {"rotation": [0, 0, 0, 0]}]}, "$.nodes[1].rotation"),
     ({"nodes": [{"mesh": 0, "rotation": [1, 1, 1, 1]}]}, "$.nodes[0].rotation"),
     ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0, 1e200]}]}, "$.nodes[0].rotation[3]"),
@@ -434,6 +438,56 @@ def test_bad_instances(tmp_path, key, values, expected):
                                "type": "VEC4" if key == "ROTATION" else "VEC3"})
     _, said = imported(tmp_path, write(tmp_path, "m.gltf", model), status=3)
     assert expected in said and f"attributes.{key}" in said
+
+
+def instanced(model, accessor_values):
+    """The model with one more accessor, of three floats each; its number."""
+    data = struct.pack(f"<{len(accessor_values)}f", *accessor_values)
+    model["buffers"].append({"byteLength": len(data), "uri": "data:application/octet-stream;base64,"
+                             + base64.b64encode(data).decode()})
+    model["bufferViews"].append({"buffer": len(model["buffers"]) - 1, "byteLength": len(data)})
+    model["accessors"].append({"bufferView": len(model["bufferViews"]) - 1, "componentType": 5126,
+                               "count": len(accessor_values) // 3, "type": "VEC3"})
+    return len(model["accessors"]) - 1
+
+
+@pytest.mark.parametrize("size", [1.0, 2.0**-20, 2.0**40])
+@pytest.mark.parametrize("same_place", [False, True])
+@pytest.mark.parametrize("roots", [1, 2])
+def test_instances_of_their_node_alone(tmp_path, size, same_place, roots):
+    """Objects went to the nodes whose place was theirs to 1e-5: where a model is small, or two
+    nodes are at one place, the instances of one were the other's too."""
+    model = triangle_gltf()
+    which = instanced(model, [0, 0, 0, size, 0, 0, 2 * size, 0, 0])
+    place = [0 if same_place else size, 0, 0]
+    model["nodes"] = [{"children": [2, 3]}, {"mesh": 0, "translation": [0, size, 0]},
+                      {"mesh": 0, "translation": place, "extensions": {"EXT_mesh_gpu_instancing": {
+                          "attributes": {"TRANSLATION": which}}}},
+                      {"mesh": 0}]
+    model["scenes"] = [{"nodes": [0, 1][:roots]}]
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", model))
+    places = sorted((o["transform"][3], o["transform"][7]) if "transform" in o else (0, 0)
+                    for o in scene["objects"])
+    assert places == sorted([(place[0] + i * size, 0) for i in range(3)] + [(0, 0)] +
+                            [(0, size)] * (roots - 1))
+
+
+def test_transforms_as_the_file_has_them(tmp_path):
+    """Not in float: nodes at 10^7 were up to half a unit off."""
+    scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(nodes=[
+        {"translation": [10000000.1, 0, 0], "children": [1]},
+        {"mesh": 0, "matrix": [0.1, 0, 0, 0, 0, 3, 0, 0, 0, 0, 1, 0, 0.3, 0.2, 0, 1]}])))
+    transform = scene["objects"][0]["transform"]
+    assert transform[0] == 0.1 and transform[7] == 0.2 and transform[3] == 10000000.1 + 0.3
+
+
+def test_last_rows_with_rounding(tmp_path):
+    """A matrix that was multiplied in floats: taken as affine."""
+    for row in ((1e-8, 0, 0, 1), (0, 0, 0, 0.9999999)):
+        scene, _ = imported(tmp_path, write(tmp_path, "m.gltf", triangle_gltf(nodes=[
+            {"mesh": 0, "matrix": [2, 0, 0, row[0], 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, row[3]]}])))
+        transform = scene["objects"][0]["transform"]
+        assert transform[0] == 2 and transform[3] == 5 and transform[12:] == [0, 0, 0, 1]
 
 
 def test_rotations_of_three_decimals(tmp_path):

@@ -79,6 +79,8 @@ static struct buf sample_message(void)
     struct diag_list problems;
     make(&im, &problems);
     add_triangle(&im, 1, 0);
+    im.object_nodes = mem_alloc_array(1, sizeof *im.object_nodes);
+    im.object_nodes[im.object_node_count++] = 5;
     im.line_count = 7;
     im.aspect = 1.5;
     import_warn(&im, "left-out", "a hint", "something is left out");
@@ -99,6 +101,8 @@ static void wire_carries_a_scene(void **state)
     assert_int_equal(im.scene.object_count, 1);
     assert_int_equal(im.scene.meshes[0].triangle_count, 1);
     assert_true(im.line_count == 7 && im.aspect == 1.5);
+    assert_int_equal(im.object_node_count, 1);
+    assert_int_equal(im.object_nodes[0], 5);
     assert_int_equal(problems.warning_count, 1);
     assert_string_equal(problems.items[0].hint, "a hint");
     assert_int_equal(m.count, 2);
