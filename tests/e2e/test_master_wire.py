@@ -770,6 +770,55 @@ def test_garbage(farm, seed):
     assert farm.request("GET", "/healthz")[0] == 200
 
 
+def closed_after(sock, send, seconds):
+    """Seconds until the master closes a connection on which `send` is called ten times a second."""
+    begin = time.monotonic()
+    sock.settimeout(0.1)
+    while time.monotonic() - begin < seconds:
+        try:
+            send()
+            if sock.recv(1) == b"":
+                return time.monotonic() - begin
+        except TimeoutError:
+            continue
+        except ConnectionError:
+            return time.monotonic() - begin
+    raise AssertionError(f"still open after {seconds} s")
+
+
+@pytest.mark.parametrize("trickle", [b"", b"a"])
+def test_strangers_have_five_seconds(farm, trickle):
+    """Whoever has not said a whole Hello by then is hung up on, also one that sends all the time."""
+    host, port = farm.listen.split(":")
+    rest = iter(frame("Hello", **Scripted(farm, hello=False).values)) if trickle else iter(())
+    with socket.create_connection((host, int(port))) as stranger:
+        took = closed_after(stranger, lambda: stranger.sendall(bytes([next(rest)]) if trickle
+                                                               else b""), 5 + 10 * SLOW)
+    assert 4.5 < took < 5 + 3 * SLOW
+
+
+def test_strangers_have_64_kib(farm):
+    """What a connection sends before its Hello is neither read on nor kept beyond 64 KiB."""
+    def resident():
+        with open(f"/proc/{farm.master.pid}/status", encoding="ascii") as file:
+            return next(int(line.split()[1]) << 10 for line in file if line.startswith("VmRSS"))
+    host, port = farm.listen.split(":")
+    Scripted(farm).welcome()
+    before = resident()
+    # A Hello as large as frames may be, and more of them.
+    meta = b"\x22\xf0\xd4\x03" + b"a" * 59996
+    flood = (HEADER.pack(b"TL", 1, 1, 0, 0, len(meta), 0) + meta) * 64
+    for _ in range(200):
+        with socket.create_connection((host, int(port)), timeout=10 * SLOW) as stranger:
+            try:
+                stranger.sendall(flood)
+                assert stranger.recv(1 << 16)[:2] in (b"", b"TL")  # a Refuse, or nothing
+            except ConnectionError:
+                pass
+    assert resident() - before < 8 << 20
+    Scripted(farm).welcome()
+
+
 def test_flood_of_requests_from_one_that_never_reads(farm, job):
     """A worker that asks for chunks and never reads costs a bounded amount of memory."""
     peer = Scripted(farm).welcome()
