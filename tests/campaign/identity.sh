@@ -1,23 +1,30 @@
 #!/bin/bash
 # identity.sh [--long]: one hash of one small scene over cells, workers, threads, glibc's variants and
 # builds. TILERY_BINS lists folders of programs (default: the build trees that are there); --long
-# also builds gcc and clang at -O0, -O2 and -O3. Prints the count of renders; 1 if two differ.
+# also builds gcc and clang at -O0, -O2 and -O3, and programs that use no AVX-512, or no AVX. Prints
+# the count of renders; 1 if two differ.
 set -eu
 top=$(cd "$(dirname "$0")/../.." && pwd)
 cd "$top"
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
+build() { # NAME COMPILER FLAGS: the programs in build/id-NAME
+    cmake -S . -B "build/id-$1" -G Ninja -DCMAKE_BUILD_TYPE=Release -DCMAKE_C_COMPILER="$2" \
+        -DCMAKE_C_FLAGS_RELEASE="$3" >/dev/null
+    cmake --build "build/id-$1" >"$scratch/build.log" 2>&1 || {
+        tail -n 30 "$scratch/build.log"
+        exit 1
+    }
+}
 if [ "${1-}" = --long ]; then
     for compiler in gcc clang-14; do
         for level in 0 2 3; do
-            cmake -S . -B "build/id-$compiler-O$level" -G Ninja -DCMAKE_BUILD_TYPE=Release \
-                -DCMAKE_C_COMPILER="$compiler" -DCMAKE_C_FLAGS_RELEASE="-O$level" >/dev/null
-            cmake --build "build/id-$compiler-O$level" >"$scratch/build.log" 2>&1 || {
-                tail -n 30 "$scratch/build.log"
-                exit 1
-            }
+            build "$compiler-O$level" "$compiler" "-O$level"
         done
     done
+    # Programs that find no more than SSE2, or AVX2, in any processor.
+    build sse2 gcc "-O2 '-D__builtin_cpu_supports(f)=0'"
+    build avx2 gcc "-O2 '-D__builtin_cpu_supports(f)=(f[3]!=53)'" # avx512f, avx512vl: f[3] is 5
 fi
 bins=${TILERY_BINS-$(ls -d build/*/bin)}
 no_fma=glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F
