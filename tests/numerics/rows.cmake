@@ -43,6 +43,9 @@ numerics_program(test_rows_glass LINKS tl_worker
   SOURCES ${numerics_dir}/test_rows_glass.c ${numerics_scenes}
   ROWS test_t15_slab test_t15_index_one_is_air test_t17_nested_dielectrics test_t17_shared_faces
        test_t22_blocks test_t22_samples)
+if(TILERY_TESTS) # also unit: what runs under the sanitizers
+  set_tests_properties(test_t22_blocks test_t22_samples PROPERTIES LABELS "numerics;unit")
+endif()
 numerics_program(test_regressions LINKS tl_worker Threads::Threads
   SOURCES ${numerics_dir}/test_regressions.c ${numerics_dir}/closed_mesh.c ${numerics_kit}
           ${numerics_scenes}

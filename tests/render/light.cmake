@@ -38,13 +38,13 @@ tilery_test(test_mitsuba LABEL render TIMEOUT 600 LINKS tl_worker m
 
 # What of these is a row of the matrix of extremes runs by its id, under both labels.
 numerics_rows(test_transport ALSO render ROWS test_t13_integrating_sphere
-  test_t14_furnace_random_walk test_t14_furnace_mis test_t14_furnace_nee
+  test_t13_facets test_t14_furnace_random_walk test_t14_furnace_mis test_t14_furnace_nee
   test_t20_profiles_in_the_box test_t20_profiles_on_metal test_t20_sharing
   test_t20_against_reference)
 numerics_rows(test_bsdf ALSO render ROWS test_t15_snell test_t16_total_reflection
   test_t18_chi2 test_t18_wrong_density_fails test_t19_reciprocity)
-numerics_rows(test_sampler ALSO render ROWS test_t22_indices test_t23_pairs
-  test_t23_dropped_dimension_fails)
+numerics_rows(test_sampler ALSO unit ROWS test_t22_indices) # which runs under the sanitizers
+numerics_rows(test_sampler ALSO render ROWS test_t23_pairs test_t23_dropped_dimension_fails)
 numerics_rows(test_identity ALSO render ROWS test_t01_scale test_t21_units test_t21_crops)
 numerics_rows(test_surface ALSO render ROWS test_t09_triangles test_t09_spheres)
 tilery_test(test_scene_late LABEL render LINKS tl_worker m

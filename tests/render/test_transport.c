@@ -4,8 +4,10 @@
 #include <math.h>
 #include <string.h>
 
+#include "common/mem.h"
 #include "tests/render/render_kit.h"
 #include "tests/render/stats.h"
+#include "worker/render/vec.h"
 
 static void look(struct scene *s, double px, double py, double pz, double fov)
 {
@@ -79,6 +81,61 @@ static void test_fast_in_the_box(void **state)
         kit_picture_free(&fast);
     }
     scene_release(&s);
+}
+
+/* A ball of n rings of 2n quads, cut in triangles, each corner on the sphere of radius 1. */
+static void faceted_ball(struct scene *s, uint32_t n, uint32_t material)
+{
+    double *p = mem_alloc_array((size_t)(n + 1) * 2 * n, 3 * sizeof *p);
+    uint32_t *t = mem_alloc_array((size_t)4 * n * n, 3 * sizeof *t), used = 0;
+    assert_true(p && t);
+    for (uint32_t i = 0; i <= n; i++)
+        for (uint32_t k = 0; k < 2 * n; k++) {
+            double *v = p + 3 * (size_t)(i * 2 * n + k), ring = VEC_PI * i / n;
+            v[0] = sin(ring) * cos(VEC_PI * k / n);
+            v[1] = cos(ring);
+            v[2] = sin(ring) * sin(VEC_PI * k / n);
+        }
+    for (uint32_t i = 0; i < n; i++)
+        for (uint32_t k = 0; k < 2 * n; k++) {
+            uint32_t a = i * 2 * n + k, b = i * 2 * n + (k + 1) % (2 * n);
+            const uint32_t both[6] = {a, b, a + 2 * n, b, b + 2 * n, a + 2 * n};
+            memcpy(t + used, both, sizeof both);
+            used += 6;
+        }
+    kit_mesh(s, p, (n + 1) * 2 * n, t, 4 * n * n, material);
+    mem_free(p);
+    mem_free(t);
+}
+
+/* The integrating sphere of facets: what is off falls with the square of their size. */
+static void test_t13_facets(void **state)
+{
+    (void)state;
+    const double rho = 0.7;
+    double before = 0;
+    for (uint32_t n = 16; n <= (rows_long ? 512u : 128u); n *= 2) {
+        struct scene s;
+        struct scene_material *m;
+        scene_init(&s);
+        uint32_t material = kit_material(&s, SCENE_MATERIAL_DIFFUSE, &m);
+        m->color[0] = m->color[1] = m->color[2] = rho;
+        m->twosided = true;
+        faceted_ball(&s, n, material);
+        kit_light(&s, SCENE_LIGHT_POINT);
+        look(&s, 0.1, 0.2, 0.5, 90);
+        struct job_spec spec = kit_spec(16, 64);
+        spec.max_depth = 5;
+        spec.rr_threshold = 0;
+        double expected = rho / VEC_PI * (1 - rho * rho * rho * rho) / (1 - rho);
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        double off = kit_picture_mean(&p) / expected - 1;
+        printf("  T13: %u rings, off by %.3g, %.2f times less\n", n, off, before / off);
+        assert_true(before == 0 || (before / off > 3.9 && before / off < 4.1));
+        before = off;
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
 }
 
 /* Inside a sphere of albedo rho around a point light every point gets the same from every other:
@@ -447,6 +504,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_t14_furnace_nee),
         cmocka_unit_test(test_fast_in_the_box),
         cmocka_unit_test(test_t13_integrating_sphere),
+        cmocka_unit_test(test_t13_facets),
         cmocka_unit_test(test_t20_profiles_in_the_box),
         cmocka_unit_test(test_t20_profiles_on_metal),
         cmocka_unit_test(test_t20_sharing),
