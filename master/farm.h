@@ -48,6 +48,11 @@ enum {
     /* Of journal since the last checkpoint of a job. A segment lives for up to two of these, since
      * what is under way at a checkpoint ends up behind it: 48 of the 64 MiB promised. */
     FARM_CHECKPOINT_BYTES = 24 << 20,
+    /* Of journal, and of results on their way there, at which nothing more of the job is leased
+     * until a checkpoint has covered it: a disk that is slow, or waits for its turn on a busy
+     * machine, makes neither the journal nor the queue before it longer. What is leased then comes
+     * on top. */
+    FARM_HOLD_BYTES = 30 << 20,
     FARM_EVENTS_SHOWN = 20,             /* last lines of a job's log in its report */
     FARM_INLINE_BYTES = 32 << 10,       /* results up to this size are decoded on the loop */
     FARM_PICTURE_BYTES_MAX = INT32_MAX, /* of a film's sums, in KiB: 2 TiB */
@@ -88,7 +93,9 @@ struct job {
     uint64_t sequence;            /* of the last result handed to the store */
     uint64_t settled;             /* up to here the store has answered */
     uint32_t in_store;            /* results handed over and not yet answered */
+    uint64_t in_store_bytes;      /* of them in the journal */
     uint64_t journal_bytes;       /* since the last checkpoint */
+    bool held;                    /* see FARM_HOLD_BYTES */
     bool checkpointing, finishing, loading, estimating, record_dirty;
     struct finish *finish; /* its picture is made, and its end on its way to the disk; else NULL */
     int64_t estimated_ms, estimate_took_ms; /* of the error so far: when last, and how long */
@@ -365,6 +372,9 @@ void job_finish_put(const struct job *job, struct job_record *row);
 void job_film_changed(struct farm *f, struct job *job);
 void job_checkpoint(struct farm *f, struct job *job);
 
+/* Holds the job back while its journal is too long, and lets it go again. */
+void job_journal_limit(struct farm *f, struct job *job);
+
 /* Frees films of finished jobs when there are too many. */
 void job_films_evict(struct farm *f);
 
@@ -373,6 +383,8 @@ void job_films_evict(struct farm *f);
 /* The picture as a file, made on the pool when its turn comes. `done` gets the bytes (takes them)
  * or an error, and how many values were too large for a half. */
 enum picture_format { PICTURE_EXR, PICTURE_EXR_HALF, PICTURE_PNG };
+/* Those whose turn has come: when a reader of a film has ended. */
+void job_pictures_start(struct farm *f);
 typedef void picture_done(void *ctx, enum err e, struct buf *file, uint64_t clamped);
 TL_NODISCARD enum err job_picture(struct farm *f, struct job *job, enum picture_format format,
                                   picture_done *done, void *ctx);

@@ -128,6 +128,8 @@ static enum err admit(struct farm *f, struct job *job)
         job->sched_done = false;
         f->sched_jobs++;
         farm_feed(f, &event);
+        job->held = false;
+        job_journal_limit(f, job);
     }
     mem_free(done.items);
     mem_free(checks);

@@ -84,6 +84,7 @@ void job_film_let_go(struct farm *f, struct job *job)
     film_read_end(job->film);
     job->film_users--;
     job->film_used_at = (uint64_t)farm_now_ms(f);
+    job_pictures_start(f);
 }
 
 /* --- Checkpoint --------------------------------------------------------- */
@@ -106,6 +107,7 @@ static void checkpoint_done(void *ctx, enum err e)
     job->checkpoint_failed_ms = e == ERR_OK ? 0 : farm_now_ms(f);
     if (e == ERR_OK) {
         job->journal_bytes -= ref->journal_bytes;
+        job_journal_limit(f, job);
         job->final_stored = job_state_ended(job->rec.state) && job->in_store == 0;
         log_debug("jobs", "checkpoint job=j%" PRIu64, job->rec.id);
     } else if (!job_state_ended(job->rec.state)) {
@@ -147,6 +149,17 @@ void job_checkpoint(struct farm *f, struct job *job)
         return;
     }
     job->checkpointing = true;
+}
+
+void job_journal_limit(struct farm *f, struct job *job)
+{
+    bool hold = job->journal_bytes + job->in_store_bytes >= FARM_HOLD_BYTES;
+    if (hold == job->held)
+        return;
+    job->held = hold;
+    log_debug("jobs", "%s job=j%" PRIu64, hold ? "held" : "let go", job->rec.id);
+    struct sched_event event = {.type = SCHED_JOB_HOLD, .job = job->rec.id, .hold = hold};
+    farm_feed(f, &event);
 }
 
 /* --- Reading back -------------------------------------------------------- */

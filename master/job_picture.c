@@ -188,8 +188,6 @@ static void picture_run(uv_work_t *request)
     grid_release(&grid);
 }
 
-static void start_pictures(struct farm *f);
-
 /* It is made, or cannot be: whoever asked is told. */
 static void end_picture(struct picture *w, enum err e)
 {
@@ -213,16 +211,19 @@ static void picture_after(uv_work_t *request, int status)
     struct farm *f = w->farm;
     f->pictures.running--;
     end_picture(w, status == 0 ? w->result : ERR_CANCELLED);
-    start_pictures(f);
+    job_pictures_start(f);
 }
 
-/* Those whose turn has come. */
-static void start_pictures(struct farm *f)
+/* Those whose turn has come. A film that holds units back for its readers gets no more of them:
+ * they could follow each other without end, and its journal could not be covered meanwhile. */
+void job_pictures_start(struct farm *f)
 {
     struct picture_queue *q = &f->pictures;
     while (q->first && q->running < PICTURES_AT_ONCE) {
         struct picture *w = q->first;
         struct job *job = farm_job(f, w->job);
+        if (job->film && film_holds(job->film) && !f->stopping)
+            return;
         q->first = w->next;
         w->film = job->film;
         if (w->film)
@@ -269,6 +270,6 @@ enum err job_picture(struct farm *f, struct job *job, enum picture_format format
     while (*end)
         end = &(*end)->next;
     *end = w;
-    start_pictures(f);
+    job_pictures_start(f);
     return ERR_OK;
 }

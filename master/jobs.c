@@ -520,7 +520,7 @@ void jobs_tick(struct farm *f)
         struct job *job = f->jobs[i];
         if (job->record_dirty)
             jobs_store_record(f, job);
-        if (job->checkpoint_failed_ms != 0)
+        if (job->checkpoint_failed_ms != 0 || job->held)
             job_film_changed(f, job);
         job_news_tick(f, job);
         if (job->rec.state == JOB_STATE_RENDERING)

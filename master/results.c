@@ -316,12 +316,14 @@ static void on_stored(void *ctx, enum err e)
     struct result *r = s->result;
     struct farm *f = r->farm;
     struct job *job = farm_job(f, s->record.job);
+    const uint64_t bytes = JOURNAL_HEADER_BYTES + (uint64_t)s->record.body_bytes;
     TL_ASSERT(job && job->in_store > 0);
     job->in_store--;
+    job->in_store_bytes -= bytes;
     job->settled = s->record.sequence;
     if (e == ERR_OK) {
         job->has_stored = true;
-        job->journal_bytes += JOURNAL_HEADER_BYTES + (uint64_t)s->record.body_bytes;
+        job->journal_bytes += bytes;
         e = film_add(job->film, s->record.unit, s->values);
         if (e == ERR_OK) {
             s->values = NULL;
@@ -350,6 +352,7 @@ static void on_stored(void *ctx, enum err e)
     jobs_changed(f, job, false);
     job_plan_more(f, job);
     job_film_changed(f, job);
+    job_journal_limit(f, job);
     f->admit_due |= !job->in_sched;
 }
 
@@ -426,12 +429,17 @@ void results_accept(struct farm *f, const struct sched_action *a)
     s->result = r;
     s->record.sequence = ++job->sequence;
     r->runs_open++;
+    const uint64_t bytes = JOURNAL_HEADER_BYTES + (uint64_t)s->record.body_bytes;
     job->in_store++;
+    job->in_store_bytes += bytes;
     e = store_put_result(f->store, &s->record, body, on_stored, s);
-    if (e != ERR_OK) {
+    if (e == ERR_OK) {
+        job_journal_limit(f, job);
+    } else {
         /* Nothing was queued, so no answer will come. */
         r->runs_open--;
         job->in_store--;
+        job->in_store_bytes -= bytes;
         r->failed = true;
         mem_free(s->values);
         mem_free(s);

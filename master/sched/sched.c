@@ -127,6 +127,7 @@ bool sched_feed(struct sched *s, uint64_t now_ms, const struct sched_event *e)
     case SCHED_JOB_CANCEL:
     case SCHED_JOB_RETRY:
     case SCHED_JOB_PRIORITY:
+    case SCHED_JOB_HOLD:
     case SCHED_JOB_REMOVE:
     case SCHED_JOB_LIMITS:
     case SCHED_CELLS_RESET:

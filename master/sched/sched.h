@@ -134,6 +134,8 @@ enum sched_event_type {
     SCHED_JOB_CANCEL,   /* leases are revoked */
     SCHED_JOB_RETRY,    /* a failed or cancelled job goes on where it was; blame is forgotten */
     SCHED_JOB_PRIORITY, /* .priority */
+    SCHED_JOB_HOLD,     /* .hold: nothing of it is leased anew until it is let go; results are
+                           taken, and leases that are late are copied */
     SCHED_JOB_LIMITS,   /* .limits: other numbers of blocks for the cells of an open job */
     SCHED_JOB_REMOVE,   /* forget the job; its memory is the caller's again once sched_next was
                            drained */
@@ -279,6 +281,7 @@ struct sched_event {
         uint64_t tags;
         uint64_t epoch;
         int32_t priority;
+        bool hold;
     };
 };
 

@@ -125,7 +125,7 @@ static bool job_offers(const struct sched *s, const struct job *j, const struct 
 
 static bool job_has_work(const struct sched *s, const struct job *j)
 {
-    return j->state == SCHED_ACTIVE && s->now_ms >= j->quiet_until_ms &&
+    return j->state == SCHED_ACTIVE && !j->held && s->now_ms >= j->quiet_until_ms &&
            (j->suspects.count > 0 || j->spots.waiting > 0 || j->suspects_alone.count > 0 ||
             j->checks.count > 0);
 }

@@ -66,6 +66,7 @@ struct job {
     uint64_t quiet_until_ms; /* nothing new is leased before */
     uint64_t leased_ms;      /* thread-time of its leases, as expected: equals get as much */
     bool contends;           /* it had work when jobs were last looked at */
+    bool held;               /* nothing new is leased until the caller lets it go */
     bool open;               /* limits may change yet */
     double cell_cost, verify_share;
     struct cellset_shape shape;

@@ -304,6 +304,9 @@ bool jobs_feed(struct sched *s, const struct sched_event *e)
         return job_remove(s, job);
     case SCHED_JOB_PRIORITY:
         return job_set_priority(s, job, e->priority);
+    case SCHED_JOB_HOLD:
+        s->jobs[job].held = e->hold;
+        return true;
     case SCHED_JOB_LIMITS:
         return job_set_limits(s, job, &e->limits);
     case SCHED_CELLS_RESET:

@@ -71,7 +71,7 @@ static void count_leases(const struct sched *s, const struct job *j, uint32_t *w
 
 static enum sched_wait wait_reason(const struct sched *s, const struct job *j)
 {
-    if (j->state != SCHED_ACTIVE || j->solo.count + j->others.count > 0)
+    if (j->state != SCHED_ACTIVE || j->held || j->solo.count + j->others.count > 0)
         return SCHED_WAIT_NOTHING;
     bool any = false;
     for (uint32_t i = 0; i < s->limits.worker_count_max && !any; i++) {

@@ -262,6 +262,32 @@ static void test_paused_job_gets_no_lease_but_takes_results(void **state)
     assert_false(rig_job(&rig, SCHED_JOB_CANCEL, 1));
 }
 
+/* Its journal is too long, say: what is out goes on, nothing follows until it is let go. */
+static void test_held_job_gets_no_lease_but_takes_results(void **state)
+{
+    (void)state;
+    assert_true(rig_add(&rig, 1, 64, 2));
+    assert_true(rig_join(&rig, 1, 2));
+    struct sched_event hold = {.type = SCHED_JOB_HOLD, .job = 1, .hold = true};
+    assert_true(rig_feed(&rig, &hold));
+    uint32_t held = rig_held(&rig, 1);
+    assert_true(held > 0);
+    for (; held > 0; held--) {
+        struct rig_lease l = rig_lease_of(&rig, 1, 0);
+        assert_true(rig_result(&rig, &l, 1000, 0));
+        assert_int_equal(rig_count(&rig, SCHED_ACCEPT), 1);
+        assert_int_equal(rig_held(&rig, 1), held - 1);
+    }
+    rig_wait(&rig, 1000);
+    assert_int_equal(rig_held(&rig, 1), 0);
+    assert_int_equal(rig_info(&rig, 1).wait, SCHED_WAIT_NOTHING);
+    hold.hold = false;
+    assert_true(rig_feed(&rig, &hold));
+    assert_true(rig_held(&rig, 1) > 0);
+    rig_finish(&rig, 1000);
+    assert_int_equal(rig_info(&rig, 1).state, SCHED_DONE);
+}
+
 static void test_cancel_revokes_and_retry_goes_on(void **state)
 {
     (void)state;
@@ -604,6 +630,7 @@ int main(void)
         RIG_TEST(test_equals_share_the_threads),
         RIG_TEST(test_equals_share_the_time),
         RIG_TEST(test_paused_job_gets_no_lease_but_takes_results),
+        RIG_TEST(test_held_job_gets_no_lease_but_takes_results),
         RIG_TEST(test_cancel_revokes_and_retry_goes_on),
         RIG_TEST(test_removed_job_is_forgotten),
         RIG_TEST(test_restored_spots_are_not_leased),
