@@ -51,9 +51,17 @@ static inline f4 f8_high(f8 a)
 {
     return _mm256_extractf128_ps(a, 1);
 }
+static inline f8 f8_and(f8 a, f8 b)
+{
+    return _mm256_and_ps(a, b);
+}
 static inline f8 f8_or(f8 a, f8 b)
 {
     return _mm256_or_ps(a, b);
+}
+static inline f8 f8_xor(f8 a, f8 b)
+{
+    return _mm256_xor_ps(a, b);
 }
 static inline f8 f8_not(f8 a)
 {
@@ -91,9 +99,17 @@ static inline f4 f8_high(f8 a)
 {
     return a.high;
 }
+static inline f8 f8_and(f8 a, f8 b)
+{
+    return (f8){_mm_and_ps(a.low, b.low), _mm_and_ps(a.high, b.high)};
+}
 static inline f8 f8_or(f8 a, f8 b)
 {
     return (f8){_mm_or_ps(a.low, b.low), _mm_or_ps(a.high, b.high)};
+}
+static inline f8 f8_xor(f8 a, f8 b)
+{
+    return (f8){_mm_xor_ps(a.low, b.low), _mm_xor_ps(a.high, b.high)};
 }
 static inline f8 f8_not(f8 a)
 {
@@ -115,9 +131,14 @@ static inline f8 box_empty(void)
     return f8_of(_mm_set1_ps(__FLT_MAX__), _mm_set1_ps(__FLT_MAX__));
 }
 
+/* Without the numbers beside the box: as floats they are subnormal, and what those are added to or
+ * multiplied by takes some CPUs (Zen 5) a hundred cycles. */
 static inline f8 box_of(const struct bvh_ref *r)
 {
-    return f8_of(_mm_load_ps(r->lo), negate(_mm_load_ps(r->hi)));
+    const f4 sign = _mm_set1_ps(-0.0f);
+    const f4 keep = _mm_castsi128_ps(_mm_setr_epi32(-1, -1, -1, 0));
+    f8 box = f8_and(f8_load(r->lo), f8_of(keep, keep));
+    return f8_xor(box, f8_of(_mm_setzero_ps(), sign));
 }
 
 /* Minus the extents. */
