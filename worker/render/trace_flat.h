@@ -247,6 +247,10 @@ static inline double flat_closest(const struct accel_flat *f, const struct trace
     uint64_t left = flat_filter(f, r);
     double end = tmax;
     struct flat_four h;
+    if (left == 0) {
+        out->object = SCENE_NONE;
+        return end;
+    }
     for (bool found = false;;) {
         unsigned lanes = flat_take(&left, h.row);
         flat_decide(f, r, lanes, tmin, end, &h);
@@ -271,6 +275,8 @@ static inline bool flat_blocks(const struct accel_flat *f, const struct trace_ra
 {
     uint64_t left = flat_filter(f, r);
     struct flat_four h;
+    if (left == 0)
+        return false;
     do {
         unsigned lanes = flat_take(&left, h.row);
         flat_decide(f, r, lanes, tmin, tmax, &h);
