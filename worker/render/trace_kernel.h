@@ -21,8 +21,10 @@ enum {
     TRACE_BATCH = 16,
     PUT_OFF_MAX = 32, /* objects that wait for their tree until nothing else is left */
     STACK_SLACK = BVH_WIDTH + PUT_OFF_MAX,
-    INTERLEAVE_MIN = 1 << 19,     /* bytes of a tree that does not stay in a core's own caches */
+    INTERLEAVE_MIN = 1 << 22,     /* bytes of a tree that does not stay in a core's own caches */
     INTERLEAVE_ANY_MIN = 1 << 16, /* the same where no order of visits is kept up */
+    AHEAD_MIN = 1 << 17,          /* bytes of a tree that does not stay in the innermost cache */
+    AHEAD_LINES = 20,             /* of 64 bytes: a node's leaves, and some of the next node's */
 };
 
 /* The kernel for few triangles that goes with this one. */
@@ -72,6 +74,15 @@ static inline void prefetch(const unsigned char *arena, uint32_t ref)
     __builtin_prefetch(p + 64);
     __builtin_prefetch(p + 128);
     __builtin_prefetch(p + 192);
+}
+
+/* Asks for what lies behind a node while its boxes are tested: its leaves, and what is next in
+ * order. Before it is known which of them are met; but nothing else is waited for meanwhile. */
+static inline void prefetch_behind(const struct bvh_node *node)
+{
+    const char *p = (const char *)node + 4 * 64;
+    for (int i = 0; i < AHEAD_LINES; i++)
+        __builtin_prefetch(p + 64 * i);
 }
 
 /* --- Packed leaves -------------------------------------------------------- */
@@ -233,6 +244,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
+    const bool ahead = tree->bytes > AHEAD_MIN;
     struct slabs slabs;
     slabs_init(&slabs, r);
     struct leaf_span span = leaf_span_left(tmin, best);
@@ -245,6 +257,8 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
             const struct bvh_node *node = bvh_node_at(arena, ref);
             COUNT(nodes);
             unsigned mask = node_meet(node, &slabs, row, from, f8_splat(span.to), &entry);
+            if (ahead)
+                prefetch_behind(node);
             if (!mask)
                 break;
             if ((mask & (mask - 1)) == 0) {
@@ -300,6 +314,7 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
     LEAF_ROOM(room, 1);
+    const bool ahead = tree->bytes > AHEAD_MIN;
     struct slabs slabs;
     slabs_init(&slabs, r);
     const struct leaf_span span = leaf_span_of(tmin, tmax);
@@ -312,6 +327,8 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
             const struct bvh_node *node = bvh_node_at(arena, ref);
             COUNT(nodes);
             unsigned mask = node_meet(node, &slabs, row, from, to, &entry);
+            if (ahead)
+                prefetch_behind(node);
             if (!mask)
                 break;
             if ((mask & (mask - 1)) == 0) {
