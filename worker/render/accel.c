@@ -10,18 +10,6 @@
 
 /* --- Boxes ---------------------------------------------------------------- */
 
-/* The nearest float not above, and not below. */
-static float round_down(double x)
-{
-    float f = (float)x;
-    return (double)f > x ? f - fabsf(f) * 0x1p-23f - 0x1p-149f : f;
-}
-
-static float round_up(double x)
-{
-    return -round_down(-x);
-}
-
 static inline __m128 vertex_load(const struct accel_mesh *m, uint32_t vertex)
 {
     const float *p = &m->positions[3 * (size_t)vertex];
@@ -49,95 +37,8 @@ static void sphere_ref(const struct accel_object *o, struct bvh_ref *out)
 {
     for (int k = 0; k < 3; k++) {
         double reach = o->radius * (1.0 + 0x1p-20);
-        out->lo[k] = round_down(o->center[k] - reach);
-        out->hi[k] = round_up(o->center[k] + reach);
-    }
-}
-
-/* An instance's box: the corners of its mesh's box, moved. */
-static void instance_ref(const struct accel_object *o, const struct bvh *mesh, struct bvh_ref *out)
-{
-    for (int k = 0; k < 3; k++) {
-        const double *row = &o->to_scene[4 * k];
-        double low = row[3], high = row[3], size = fabs(row[3]);
-        for (int j = 0; j < 3; j++) {
-            double a = row[j] * (double)mesh->lo[j], b = row[j] * (double)mesh->hi[j];
-            low += exact_min(a, b);
-            high += exact_max(a, b);
-            size += exact_max(fabs(a), fabs(b));
-        }
-        out->lo[k] = round_down(low - 0x1p-40 * size);
-        out->hi[k] = round_up(high + 0x1p-40 * size);
-    }
-}
-
-/* A point that is off by s in mesh space is off by s |T| in the scene's; this is how much of
- * R = |o|max + reach that is at most, for s = R of the moved ray (docs/TRACING.md, 1). */
-static double instance_stretch(const struct accel_object *o, double mesh_reach, double scene_reach)
-{
-    double out = 0.0, in = 0.0, offset = 0.0;
-    for (int k = 0; k < 3; k++) {
-        const double *to = &o->to_scene[4 * k], *from = &o->from_scene[4 * k];
-        out = exact_max(fabs(to[0]) + fabs(to[1]) + fabs(to[2]), out);
-        in = exact_max(fabs(from[0]) + fabs(from[1]) + fabs(from[2]), in);
-        offset = exact_max(fabs(from[3]), offset);
-    }
-    return out * exact_max(in, (offset + mesh_reach) / scene_reach);
-}
-
-/* By how much of R a point is off that goes to mesh space and back, since one matrix is the other's
- * inverse but for rounding. */
-static double instance_drift(const struct accel_object *o, double scene_reach)
-{
-    double most = 0.0;
-    for (int k = 0; k < 3; k++) {
-        const double *to = &o->to_scene[4 * k], *from = o->from_scene;
-        double turn = 0.0, shift = to[3];
-        for (int i = 0; i < 3; i++) {
-            turn += fabs((to[0] * from[i] + to[1] * from[4 + i]) + to[2] * from[8 + i] - (k == i));
-            shift += to[i] * from[4 * i + 3];
-        }
-        most = exact_max(most, exact_max(turn, fabs(shift) / scene_reach));
-    }
-    return most;
-}
-
-/* Up to STRETCH_PLAIN the slack of a moved ray stays within the padding of the scene's boxes; from
- * there on it is made smaller, as long as it stays well above the rounding of doubles. */
-static const double STRETCH_PLAIN = 0x1p4, STRETCH_MAX = 0x1p21, DRIFT_MAX = 0x1p-27;
-
-/* A transform so lopsided that even so a hit could leave the padded box: its instance is given all
- * of space. */
-static void lopsided_widen(const struct accel *a, struct bvh_ref *refs, size_t count, double reach)
-{
-    for (size_t i = 0; i < count; i++) {
-        if (!(refs[i].primitive & BVH_REF_OBJECT)) /* then its owner may be a mesh */
-            continue;
-        const struct accel_object *o = &a->objects[refs[i].owner];
-        if (o->type != ACCEL_INSTANCE ||
-            (instance_stretch(o, a->mesh_trees[o->mesh].reach, reach) <= STRETCH_MAX &&
-             instance_drift(o, reach) <= DRIFT_MAX))
-            continue;
-        for (int k = 0; k < 3; k++) {
-            refs[i].lo[k] = -0x1p60f;
-            refs[i].hi[k] = 0x1p60f;
-        }
-    }
-}
-
-/* The part of the slack that rays have in each instance, and of the float side's. */
-static void slacks_share(struct accel *a)
-{
-    for (size_t i = 0; i < a->object_count; i++) {
-        const struct accel_object *o = &a->objects[i];
-        if (o->type != ACCEL_INSTANCE)
-            continue;
-        double stretch = instance_stretch(o, a->mesh_trees[o->mesh].reach, a->scene_tree.reach);
-        double share = 1.0;
-        while (!(share * stretch <= STRETCH_PLAIN) && share * STRETCH_MAX > STRETCH_PLAIN)
-            share *= 0.5;
-        a->motions[i].slack_share = share;
-        a->motions[i].filter_share = stretch <= TRACE_STRETCH_FAST ? 1.0f : NAN;
+        out->lo[k] = accel_round_down(o->center[k] - reach);
+        out->hi[k] = accel_round_up(o->center[k] + reach);
     }
 }
 
@@ -277,7 +178,7 @@ static enum err tree_build(struct accel *a, struct bvh_ref *refs, size_t count,
     tree_measure(refs, count, runner, &box, &how.edge);
     if (how.place && how.place->edge > how.edge)
         how.edge = how.place->edge;
-    lopsided_widen(a, refs, count, box.reach);
+    accel_instances_fit(a, refs, count, box.reach);
     if (a->options.builder == JOB_BUILDER_NONE)
         mem_free(refs);
     else
@@ -316,7 +217,7 @@ static size_t object_refs(const struct accel *a, uint32_t number, const struct a
     } else if (o->type == ACCEL_SPHERE) {
         sphere_ref(o, refs);
     } else if (a->meshes[o->mesh].triangle_count) {
-        instance_ref(o, &a->mesh_trees[o->mesh], refs);
+        accel_instance_ref(o, &a->mesh_trees[o->mesh], refs);
     } else {
         return 0;
     }
@@ -466,7 +367,7 @@ static enum err build(struct accel *a, const struct accel_input *input,
     if (!a->saved)
         TL_TRY(trees_build(a, runner, from->plan));
     trees_link(a);
-    slacks_share(a);
+    accel_slacks_share(a);
     TL_TRY(accel_flat_make(a));
     count_tree(a, &a->scene_tree);
     a->stats.sah_cost = a->scene_tree.sah_cost;

@@ -92,8 +92,32 @@ struct accel {
     struct accel_lazy *lazy; /* NULL: all trees are built */
 };
 
+/* The nearest float not above, and not below. */
+static inline float accel_round_down(double x)
+{
+    float f = (float)x;
+    return (double)f > x ? f - __builtin_fabsf(f) * 0x1p-23f - 0x1p-149f : f;
+}
+
+static inline float accel_round_up(double x)
+{
+    return -accel_round_down(-x);
+}
+
 /* The box of a triangle; the caller sets what else a reference has. *out lies at 16 bytes. */
 void accel_triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out);
+
+/* The box of an instance, from that of its mesh alone, whatever tree that has: answers depend on it.
+ */
+void accel_instance_ref(const struct accel_object *o, const struct bvh *mesh, struct bvh_ref *out);
+
+/* Makes the boxes of instances among the references what the scene's tree, of that reach, is to
+ * have: smaller where their meshes' trees say so, all of space where a transform is too lopsided
+ * for any. */
+void accel_instances_fit(const struct accel *a, struct bvh_ref *refs, size_t count, double reach);
+
+/* The part of the slack that rays have in each instance, and of the float side's. */
+void accel_slacks_share(struct accel *a);
 
 /* What leaves of the scene's tree, and of trees in its arena, are made from. */
 struct bvh_source accel_scene_source(const struct accel *a);

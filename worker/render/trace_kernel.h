@@ -149,15 +149,12 @@ static __attribute__((noinline)) void object_closest(const struct accel *a,
     struct trace_ray inner;
     if (!ready_instance_ray(a, number, r, &inner))
         return;
-    struct trace_best moved = *best;
-    moved.t *= inner.unscale;
-    moved.tmax *= inner.unscale;
-    mesh_closest(a, &a->mesh_trees[o->mesh], &inner, tmin * inner.unscale, number, &moved);
-    if (moved.found && moved.object == number) {
-        moved.t *= inner.rescale;
-        moved.tmax = best->tmax;
-        *best = moved;
-    }
+    double t = best->t, tmax = best->tmax;
+    best->t = t * inner.unscale;
+    best->tmax = tmax * inner.unscale;
+    mesh_closest(a, &a->mesh_trees[o->mesh], &inner, tmin * inner.unscale, number, best);
+    best->tmax = tmax;
+    best->t = best->found && best->object == number ? best->t * inner.rescale : t;
 }
 
 static __attribute__((noinline)) bool object_any(const struct accel *a, const struct trace_ray *r,

@@ -224,6 +224,8 @@ static inline void pending_settle_early(const struct accel *a, const struct trac
                                         double tmin, uint32_t object, struct leaf_pending *p,
                                         struct trace_best *best)
 {
+    if (!p->leaf && !p->open)
+        return;
     struct leaf_pending copy = *p;
     pending_settle_apart(a, r, tmin, object, &copy, best);
     p->leaf = p->open = NULL;

@@ -5,6 +5,7 @@ set(trace_dir ${PROJECT_SOURCE_DIR}/worker/render)
 set(trace_sources
   ${trace_dir}/accel.c
   ${trace_dir}/accel_flat.c
+  ${trace_dir}/accel_instance.c
   ${trace_dir}/accel_lazy.c
   ${trace_dir}/accel_trees.c
   ${trace_dir}/bvh_build.c
@@ -41,7 +42,7 @@ set(trace_sources
 # gcc unrolls the loops over three axes only at -O3.
 set(trace_fast $<$<CONFIG:Release>:-O3>)
 set(trace_avx2_flags -mavx2 -mfma -mbmi -mbmi2 -mlzcnt -mpopcnt)
-set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/trace.c ${trace_dir}/trace_far.c
+set_source_files_properties(${trace_dir}/accel.c ${trace_dir}/accel_instance.c ${trace_dir}/trace.c ${trace_dir}/trace_far.c
   ${trace_dir}/trace_sse2.c
   ${trace_dir}/trace_sse2_compact.c ${trace_dir}/trace_sse2_fast.c PROPERTIES
   COMPILE_OPTIONS "${trace_fast}")
