@@ -306,12 +306,18 @@ static enum err motions_make(struct accel *a)
     if (!a->motions)
         return ERR_NOMEM;
     memset(a->motions, 0, a->object_count * sizeof *a->motions);
-    for (size_t i = 0; i < a->object_count; i++)
-        for (size_t k = 0; k < 12 && a->objects[i].type == ACCEL_INSTANCE; k++) {
-            a->motions[i].from_scene[k % 4][k / 4] = a->objects[i].from_scene[k];
+    for (size_t i = 0; i < a->object_count; i++) {
+        const struct accel_object *o = &a->objects[i];
+        struct accel_motion *m = &a->motions[i];
+        if (o->type != ACCEL_INSTANCE)
+            continue;
+        m->tree = &a->mesh_trees[o->mesh];
+        for (size_t k = 0; k < 12; k++) {
+            m->from_scene[k % 4][k / 4] = o->from_scene[k];
             if (k % 4 < 3)
-                a->motions[i].to_scene[k % 4][k / 4] = a->objects[i].to_scene[k];
+                m->to_scene[k % 4][k / 4] = o->to_scene[k];
         }
+    }
     return ERR_OK;
 }
 

@@ -38,12 +38,15 @@ extern const struct trace_kernel trace_avx2_flat, trace_avx512_flat;
 void trace_far_closest(const struct accel *a, const struct ray *ray, struct hit *out);
 bool trace_far_occluded(const struct accel *a, const struct ray *ray);
 
-/* An instance's matrices by column, for whole vectors to be loaded. */
+/* An instance: its matrices by column, for whole vectors to be loaded. What a ray needs on its way
+ * in comes first. */
 struct accel_motion {
-    double from_scene[4][4], to_scene[3][4];
+    double from_scene[4][4];
+    const struct bvh *tree; /* NULL: no instance */
     double slack_share; /* of a ray's slack, once moved: a power of two, 1 unless it stretches */
     float filter_share; /* of its filter_slack: 1, or not a number where float is not to decide */
-} __attribute__((aligned(32)));
+    double to_scene[3][4] __attribute__((aligned(32)));
+} __attribute__((aligned(64)));
 
 /* Objects whose trees are built when a ray first meets them (accel_lazy.h). */
 struct accel_lazy {

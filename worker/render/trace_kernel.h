@@ -135,24 +135,45 @@ static void mesh_closest(const struct accel *a, const struct bvh *tree, const st
 static bool mesh_any(const struct accel *a, const struct bvh *tree, const struct trace_ray *r,
                      double tmin, double tmax);
 
+/* Moves a ray to an instance; false if it meets none of the boxes of the mesh's root there, which
+ * is so of most whose own box it meets. */
+static inline bool instance_enter(const struct accel *a, const struct bvh *tree, uint32_t number,
+                                  const struct trace_ray *r, double tmin, double tmax,
+                                  struct trace_ray *inner)
+{
+    struct ready_way way;
+    struct slabs slabs;
+    f8 entry;
+    if (!ready_instance_boxes(a, number, r, inner, &way))
+        return false;
+    struct leaf_span span = leaf_span_of(tmin * inner->unscale, tmax * inner->unscale);
+    slabs_init(&slabs, inner);
+    if (!node_meet(bvh_node_at(tree->arena, tree->root), &slabs, inner->row, f8_splat(span.from),
+                   f8_splat(span.to), &entry))
+        return false;
+    ready_instance_triangles(a, number, &way, inner);
+    return true;
+}
+
 static __attribute__((noinline)) void object_closest(const struct accel *a,
                                                      const struct trace_ray *r, double tmin,
                                                      uint32_t number, struct trace_best *best)
 {
-    const struct accel_object *o = &a->objects[number];
-    if (o->type == ACCEL_SPHERE) {
+    const struct bvh *tree = a->motions ? a->motions[number].tree : NULL;
+    if (!tree) {
+        const struct accel_object *o = &a->objects[number];
         double t, tmax = best->found ? __builtin_inf() : best->t;
         if (exact_sphere(r, o->center, o->radius, tmin, tmax, &t))
             accel_offer(a, t, tmin, number, 0, NULL, 0, best);
         return;
     }
     struct trace_ray inner;
-    if (!ready_instance_ray(a, number, r, &inner))
-        return;
     double t = best->t, tmax = best->tmax;
+    if (!instance_enter(a, tree, number, r, tmin, t, &inner))
+        return;
     best->t = t * inner.unscale;
     best->tmax = tmax * inner.unscale;
-    mesh_closest(a, &a->mesh_trees[o->mesh], &inner, tmin * inner.unscale, number, best);
+    mesh_closest(a, tree, &inner, tmin * inner.unscale, number, best);
     best->tmax = tmax;
     best->t = best->found && best->object == number ? best->t * inner.rescale : t;
 }
@@ -160,15 +181,18 @@ static __attribute__((noinline)) void object_closest(const struct accel *a,
 static __attribute__((noinline)) bool object_any(const struct accel *a, const struct trace_ray *r,
                                                  double tmin, double tmax, uint32_t number)
 {
-    const struct accel_object *o = &a->objects[number];
-    if (o->type == ACCEL_SPHERE) {
+    const struct bvh *tree = a->motions ? a->motions[number].tree : NULL;
+    if (!tree) {
+        const struct accel_object *o = &a->objects[number];
         double t;
         return exact_sphere(r, o->center, o->radius, tmin, tmax, &t);
     }
     struct trace_ray inner;
-    if (!ready_instance_ray(a, number, r, &inner))
+    struct ready_way way;
+    if (!ready_instance_boxes(a, number, r, &inner, &way))
         return false;
-    return mesh_any(a, &a->mesh_trees[o->mesh], &inner, tmin * inner.unscale, tmax * inner.unscale);
+    ready_instance_triangles(a, number, &way, &inner);
+    return mesh_any(a, tree, &inner, tmin * inner.unscale, tmax * inner.unscale);
 }
 
 /* --- Objects whose trees may wait ------------------------------------------ */

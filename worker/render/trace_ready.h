@@ -90,14 +90,19 @@ static inline void ready_slabs(struct trace_ray *out, f4 org, f4 dir, f4 pad_siz
     _mm_store_si128((__m128i *)out->row, _mm_add_epi32(back, low));
 }
 
-/* trace_ray_init for a finite org, whose fourth lane, as dir's, may hold anything. Without boxes:
- * nothing that they, or what float is sure of, need. */
-static inline __attribute__((always_inline)) bool
-ready_ray(d4 org, d4 dir, double outer, double reach, bool boxes, struct trace_ray *out)
+/* What the parts of trace_ray_init hand on. */
+struct ready_way {
+    d4 org, dir; /* as in trace_ray, with junk in the fourth lane */
+    d4 far;      /* R */
+    f4 bounds;   /* slack in double's place, pad, filter_slope, filter_slack */
+    uint32_t z;  /* the axis of dir's largest component */
+};
+
+/* What boxes and triangles both need; org's and dir's fourth lanes may hold anything. */
+static inline __attribute__((always_inline)) bool ready_begin(d4 org, d4 dir, double outer,
+                                                              double reach, struct trace_ray *out,
+                                                              struct ready_way *way)
 {
-    _Static_assert(offsetof(struct trace_ray, filter_slack) ==
-                       offsetof(struct trace_ray, filter_slope) + sizeof(float),
-                   "slope and slack in one store");
     const d4 infinite = d4_splat(__builtin_inf());
     d4 size = ready_abs(dir), most = ready_largest(size);
     unsigned finite = d4_mask(d4_and(d4_less(size, infinite), d4_less(ready_abs(org), infinite)));
@@ -105,10 +110,11 @@ ready_ray(d4 org, d4 dir, double outer, double reach, bool boxes, struct trace_r
     uint64_t bits = (uint64_t)_mm_cvtsi128_si64(_mm_castpd_si128(_mm256_castpd256_pd128(most)));
     if ((finite & 7) != 7 || bits == 0)
         return false;
-    uint32_t z = 31 - (uint32_t)__builtin_clz(largest);
+    way->z = 31 - (uint32_t)__builtin_clz(largest);
     /* Scaling changes no bit but where numbers get too large or small: most need none. */
     uint64_t exponent = bits >> 52;
-    d4 scaled = dir;
+    way->org = org;
+    way->dir = dir;
     out->rescale = out->unscale = 1.0;
     out->scale = outer;
     if (__builtin_expect(exponent - (1023 - 20) > 40, 0)) {
@@ -117,38 +123,69 @@ ready_ray(d4 org, d4 dir, double outer, double reach, bool boxes, struct trace_r
         out->rescale = ready_double((2046 - exponent) << 52);
         out->unscale = ready_double(exponent << 52);
         out->scale = outer * out->rescale;
-        scaled = d4_mul(dir, d4_splat(out->rescale));
+        way->dir = d4_mul(dir, d4_splat(out->rescale));
     }
-    __m256i lanes = _mm256_load_si256((const __m256i *)ready_lanes[z]);
-    d4 porg = ready_permute(org, lanes), pdir = ready_permute(scaled, lanes);
+    _mm256_store_pd(out->org, org);
+    _mm256_store_pd(out->dir, way->dir);
+    d4 far = d4_add(ready_largest(ready_abs(org)), d4_splat(reach));
+    way->far = _mm256_permute4x64_pd(far, 0);
+    d4 bounds =
+        d4_mul(way->far, _mm256_setr_pd(0x1p-30, READY_PAD * 0x1p-24, 100.0 * 0x1p-24, 0x1p-20));
+    way->bounds = _mm256_cvtpd_ps(bounds);
+    out->slack = _mm256_cvtsd_f64(bounds);
+    return true;
+}
+
+static inline void ready_boxes(const struct ready_way *way, struct trace_ray *out)
+{
+    ready_slabs(out, _mm256_cvtpd_ps(way->org), _mm256_cvtpd_ps(way->dir),
+                _mm_movehdup_ps(way->bounds));
+}
+
+/* What triangles need; `sure`: what float decides by itself as well. */
+static inline __attribute__((always_inline)) void ready_triangles(const struct ready_way *way,
+                                                                  double reach, bool sure,
+                                                                  struct trace_ray *out)
+{
+    _Static_assert(offsetof(struct trace_ray, filter_slack) ==
+                       offsetof(struct trace_ray, filter_slope) + sizeof(float),
+                   "slope and slack in one store");
+    __m256i lanes = _mm256_load_si256((const __m256i *)ready_lanes[way->z]);
+    d4 porg = ready_permute(way->org, lanes), pdir = ready_permute(way->dir, lanes);
     d4 top = _mm256_blend_pd(pdir, _mm256_setr_pd(1.0, 1.0, 1.0, -1.0), 0xc);
     d4 shear = d4_div(top, _mm256_permute4x64_pd(pdir, 0xaa));
-    _mm256_store_pd(out->org, org);
-    _mm256_store_pd(out->dir, scaled);
     _mm256_store_pd(out->porg, porg);
     _mm256_store_pd(out->shear, shear);
-    _mm_store_si128((__m128i *)out->axis, _mm_load_si128((const __m128i *)ready_axis[z]));
-    d4 far = d4_add(ready_largest(ready_abs(org)), d4_splat(reach));
-    far = _mm256_permute4x64_pd(far, 0);
-    d4 bounds = d4_mul(far, _mm256_setr_pd(0x1p-30, READY_PAD * 0x1p-24, 100.0 * 0x1p-24, 0x1p-20));
-    f4 bounds_f = _mm256_cvtpd_ps(bounds);
-    out->slack = _mm256_cvtsd_f64(bounds);
-    _mm_storeh_pi((__m64 *)&out->filter_slope, bounds_f);
-    f4 slack = _mm_shuffle_ps(bounds_f, bounds_f, 0xff);
+    _mm_store_si128((__m128i *)out->axis, _mm_load_si128((const __m128i *)ready_axis[way->z]));
+    _mm_storeh_pi((__m64 *)&out->filter_slope, way->bounds);
+    f4 slack = _mm_shuffle_ps(way->bounds, way->bounds, 0xff);
     out->filter_floor = _mm_cvtss_f32(_mm_mul_ss(slack, slack)) + 0x1p-105f;
     _mm_store_ps(out->filter_org, _mm256_cvtpd_ps(porg));
     f4 filter_shear = _mm256_cvtpd_ps(shear), sz = _mm_movehl_ps(filter_shear, filter_shear);
     _mm_store_ps(out->filter_shear, filter_shear);
-    if (!boxes)
-        return true;
+    if (!sure)
+        return;
     float steep = __builtin_fabsf(_mm_cvtss_f32(sz));
     out->filter_spread = 13.8f * steep;
     out->filter_depth = 2.0f * steep * _mm_cvtss_f32(slack);
-    ready_slabs(out, _mm256_cvtpd_ps(org), _mm256_cvtpd_ps(scaled), _mm_movehdup_ps(bounds_f));
 #ifdef TRACE_FAST
-    if (__builtin_expect(_mm256_cvtsd_f64(far) > TRACE_FAR_FAST * reach, 0))
+    if (__builtin_expect(_mm256_cvtsd_f64(way->far) > TRACE_FAR_FAST * reach, 0))
         out->filter_slack = NAN;
+#else
+    (void)reach;
 #endif
+}
+
+/* trace_ray_init. Without boxes: nothing that they, or what float is sure of, need. */
+static inline __attribute__((always_inline)) bool
+ready_ray(d4 org, d4 dir, double outer, double reach, bool boxes, struct trace_ray *out)
+{
+    struct ready_way way;
+    if (!ready_begin(org, dir, outer, reach, out, &way))
+        return false;
+    ready_triangles(&way, reach, boxes, out);
+    if (boxes)
+        ready_boxes(&way, out);
     return true;
 }
 
@@ -175,22 +212,33 @@ static inline bool ready_boxless_ray(const struct accel *a, const struct ray *ra
     return true;
 }
 
-/* accel_instance_ray */
-static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
-                                      const struct trace_ray *r, struct trace_ray *out)
+/* accel_instance_ray, in two parts: first what boxes need. */
+static inline bool ready_instance_boxes(const struct accel *a, uint32_t object,
+                                        const struct trace_ray *r, struct trace_ray *out,
+                                        struct ready_way *way)
 {
-    const double(*from)[4] = a->motions[object].from_scene;
+    const struct accel_motion *m = &a->motions[object];
+    const double(*from)[4] = m->from_scene;
     const double *p = r->org, *v = r->dir;
     d4 x = _mm256_load_pd(from[0]), y = _mm256_load_pd(from[1]), z = _mm256_load_pd(from[2]);
     d4 org = d4_add(d4_mul(x, d4_splat(p[0])), d4_mul(y, d4_splat(p[1])));
     org = d4_add(d4_add(org, d4_mul(z, d4_splat(p[2]))), _mm256_load_pd(from[3]));
     d4 dir = d4_add(d4_mul(x, d4_splat(v[0])), d4_mul(y, d4_splat(v[1])));
     dir = d4_add(dir, d4_mul(z, d4_splat(v[2])));
-    if (!ready_ray(org, dir, r->scale, a->mesh_trees[a->objects[object].mesh].reach, true, out))
+    if (!ready_begin(org, dir, r->scale, m->tree->reach, out, way))
         return false;
-    out->slack *= a->motions[object].slack_share;
-    out->filter_slack *= a->motions[object].filter_share;
+    ready_boxes(way, out);
     return true;
+}
+
+/* Then, for a ray that meets some box, the rest. */
+static inline void ready_instance_triangles(const struct accel *a, uint32_t object,
+                                            const struct ready_way *way, struct trace_ray *out)
+{
+    const struct accel_motion *m = &a->motions[object];
+    ready_triangles(way, m->tree->reach, true, out);
+    out->slack *= m->slack_share;
+    out->filter_slack *= m->filter_share;
 }
 
 static inline d4 ready_turn(const double to[3][4], d4 v)
@@ -241,11 +289,23 @@ static inline void ready_hit(const struct accel *a, const struct trace_ray *r,
 
 #else
 
-static inline bool ready_instance_ray(const struct accel *a, uint32_t object,
-                                      const struct trace_ray *r, struct trace_ray *out)
+struct ready_way {
+    uint32_t unused;
+};
+
+static inline bool ready_instance_boxes(const struct accel *a, uint32_t object,
+                                        const struct trace_ray *r, struct trace_ray *out,
+                                        struct ready_way *way)
 {
     double rescale;
+    way->unused = 0;
     return accel_instance_ray(a, object, r, out, &rescale);
+}
+
+static inline void ready_instance_triangles(const struct accel *a, uint32_t object,
+                                            const struct ready_way *way, struct trace_ray *out)
+{
+    (void)a, (void)object, (void)way, (void)out;
 }
 
 static inline void ready_hit(const struct accel *a, const struct trace_ray *r,
