@@ -36,6 +36,9 @@ static void flat_fill(struct accel_flat *f, uint32_t row, const struct accel_mes
     f->edge[row] = edge * (1.0f + 0x1p-22f);
     for (int k = 0; k < 3; k++)
         f->v[row][k][3] = 0x1p-12 * (double)f->edge[row] * (double)f->edge[row];
+    for (int k = 0; k < 3 && row < FLAT_FOUR; k++)
+        for (int i = 0; i < 4; i++)
+            f->four[k][i][row] = f->v[row][k][i];
     flat_normal(f->v[row], f->ng[row]);
     f->object[row] = object;
     f->primitive[row] = primitive;

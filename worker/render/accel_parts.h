@@ -65,13 +65,14 @@ struct accel_lazy {
 /* The triangles of a scene that has few, side by side: all of them are tested in less time than a
  * tree takes to leave some out. Row i is triangle number i; rows from `count` on are points at the
  * origin. The one behind the last answers for a ray that hits nothing. A few spheres come after. */
-enum { FLAT_MAX = 64, FLAT_SPHERES_MAX = 2 };
+enum { FLAT_MAX = 64, FLAT_FOUR = 4, FLAT_SPHERES_MAX = 2 };
 
 struct accel_flat {
     float filter[3][3][FLAT_MAX]; /* vertex, axis, triangle */
     float edge[FLAT_MAX];         /* the triangle's largest extent, rounded up */
     double v[FLAT_MAX + 1][3][4]; /* triangle, axis, vertex; the fourth: 2^-12 edge^2 */
     double ng[FLAT_MAX + 1][4];   /* of its hits */
+    double four[3][4][FLAT_FOUR]; /* axis, vertex and v's fourth, triangle: of the first four */
     uint32_t object[FLAT_MAX + 1], primitive[FLAT_MAX + 1];
     uint32_t count;
     uint32_t sphere_count, spheres[FLAT_SPHERES_MAX]; /* their objects, in order */

@@ -98,9 +98,15 @@ static inline unsigned flat_take(uint64_t *left, uint32_t row[5])
 
 /* An axis of the four, relative to the origin, by vertex; and the rows' fourth numbers. */
 static inline void flat_axis(const struct accel_flat *f, const uint32_t row[5],
-                             const struct trace_ray *r, int k, d4 out[4])
+                             const struct trace_ray *r, bool few, int k, d4 out[4])
 {
     uint32_t axis = r->axis[k];
+    if (few) {
+        for (int i = 0; i < 3; i++)
+            out[i] = d4_sub(_mm256_load_pd(f->four[axis][i]), d4_splat(r->porg[k]));
+        out[3] = _mm256_load_pd(f->four[axis][3]);
+        return;
+    }
     d4 a = _mm256_load_pd(f->v[row[0]][axis]), b = _mm256_load_pd(f->v[row[1]][axis]);
     d4 c = _mm256_load_pd(f->v[row[2]][axis]), d = _mm256_load_pd(f->v[row[3]][axis]);
     d4 ab02 = _mm256_unpacklo_pd(a, b), cd02 = _mm256_unpacklo_pd(c, d);
@@ -129,13 +135,13 @@ static inline d4 flat_depth(d4 u, const struct flat_four *h, const d4 z[3])
 
 /* exact_woop of those of the four that `lanes` has; where det is large enough, exact_near needs no
  * look. */
-static inline void flat_decide(const struct accel_flat *f, const struct trace_ray *r,
+static inline void flat_decide(const struct accel_flat *f, const struct trace_ray *r, bool few,
                                unsigned lanes, double tmin, double tmax, struct flat_four *h)
 {
     d4 x[4], y[4], z[4], zero = _mm256_setzero_pd();
-    flat_axis(f, h->row, r, 0, x);
-    flat_axis(f, h->row, r, 1, y);
-    flat_axis(f, h->row, r, 2, z);
+    flat_axis(f, h->row, r, few, 0, x);
+    flat_axis(f, h->row, r, few, 1, y);
+    flat_axis(f, h->row, r, few, 2, z);
     /* Functions of what is farther than 2^230 may not be finite. */
     double floor = r->slack < 0x1p200 ? 0x1p-52 * r->slack * r->slack : __builtin_inf();
     d4 enough = d4_add(z[3], d4_splat(floor));
@@ -151,6 +157,10 @@ static inline void flat_decide(const struct accel_flat *f, const struct trace_ra
     d4 minus = d4_sub(zero, u);
     d4 positive = flat_any_less(minus, d4_sub(zero, h->v), d4_sub(zero, h->w), zero);
     lanes &= ~d4_mask(d4_and(negative, positive));
+    if (few && !lanes) {
+        h->hit = h->careful = 0;
+        return;
+    }
     h->careful = lanes & ~d4_mask(d4_less(enough, ready_abs(h->det)));
     h->t = d4_mul(flat_depth(u, h, z), d4_splat(r->shear[2]));
     d4 within = d4_and(d4_less(d4_splat(tmin), h->t), d4_less(h->t, d4_splat(tmax)));
@@ -240,10 +250,45 @@ static inline double flat_hit(const struct accel_flat *f, const struct trace_ray
     return t[lane];
 }
 
+/* Where there are no more than four triangles: no filter, and nothing to gather. */
+static inline void flat_decide_all(const struct accel_flat *f, const struct trace_ray *r,
+                                   double tmin, double tmax, struct flat_four *h)
+{
+    for (uint32_t i = 0; i < FLAT_FOUR; i++)
+        h->row[i] = i;
+    h->row[FLAT_FOUR] = FLAT_MAX;
+    flat_decide(f, r, true, (1u << f->count) - 1, tmin, tmax, h);
+}
+
+static __attribute__((noinline)) double flat_closest_of_four(const struct accel_flat *f,
+                                                             const struct trace_ray *r, double tmin,
+                                                             double tmax, struct hit *out)
+{
+    struct flat_four h;
+    flat_decide_all(f, r, tmin, tmax, &h);
+    if (__builtin_expect(h.careful, 0))
+        return flat_closest_careful(f, r, tmin, tmax, out);
+    if (h.hit)
+        return flat_hit(f, r, &h, flat_nearest(&h), tmax, out);
+    out->object = SCENE_NONE;
+    return tmax;
+}
+
+static __attribute__((noinline)) bool flat_blocks_of_four(const struct accel_flat *f,
+                                                          const struct trace_ray *r, double tmin,
+                                                          double tmax)
+{
+    struct flat_four h;
+    flat_decide_all(f, r, tmin, tmax, &h);
+    return __builtin_expect(h.careful, 0) ? flat_blocks_careful(f, r, tmin, tmax) : h.hit != 0;
+}
+
 /* The nearest of the triangles; t, or tmax if none is hit. */
 static inline double flat_closest(const struct accel_flat *f, const struct trace_ray *r,
                                   double tmin, double tmax, struct hit *out)
 {
+    if (f->count <= FLAT_FOUR)
+        return flat_closest_of_four(f, r, tmin, tmax, out);
     uint64_t left = flat_filter(f, r);
     double end = tmax;
     struct flat_four h;
@@ -253,7 +298,7 @@ static inline double flat_closest(const struct accel_flat *f, const struct trace
     }
     for (bool found = false;;) {
         unsigned lanes = flat_take(&left, h.row);
-        flat_decide(f, r, lanes, tmin, end, &h);
+        flat_decide(f, r, false, lanes, tmin, end, &h);
         if (__builtin_expect(h.careful, 0)) {
             return flat_closest_careful(f, r, tmin, tmax, out);
         }
@@ -273,13 +318,15 @@ static inline double flat_closest(const struct accel_flat *f, const struct trace
 static inline bool flat_blocks(const struct accel_flat *f, const struct trace_ray *r, double tmin,
                                double tmax)
 {
+    if (f->count <= FLAT_FOUR)
+        return flat_blocks_of_four(f, r, tmin, tmax);
     uint64_t left = flat_filter(f, r);
     struct flat_four h;
     if (left == 0)
         return false;
     do {
         unsigned lanes = flat_take(&left, h.row);
-        flat_decide(f, r, lanes, tmin, tmax, &h);
+        flat_decide(f, r, false, lanes, tmin, tmax, &h);
         if (__builtin_expect(h.careful, 0))
             return flat_blocks_careful(f, r, tmin, tmax);
     } while (__builtin_expect(left != 0, 0) && !h.hit);
