@@ -73,10 +73,38 @@ static int push_children(const struct bvh_node *node, const struct far_slabs *s,
     return top;
 }
 
+/* The lanes whose edge functions, as exact_woop has them, are not of both signs. */
+static unsigned leaf_unmixed(const struct trace_ray *r, const struct bvh_leaf *leaf)
+{
+    double x[3][BVH_BLOCK], y[3][BVH_BLOCK];
+    int64_t mixed[BVH_BLOCK];
+    for (int i = 0; i < 3; i++) {
+        const float *vx = leaf->v[i][r->axis[0]], *vy = leaf->v[i][r->axis[1]];
+        const float *vz = leaf->v[i][r->axis[2]];
+        for (int l = 0; l < BVH_BLOCK; l++) {
+            double z = (double)vz[l] - r->porg[2];
+            x[i][l] = ((double)vx[l] - r->porg[0]) - r->shear[0] * z;
+            y[i][l] = ((double)vy[l] - r->porg[1]) - r->shear[1] * z;
+        }
+    }
+    for (int l = 0; l < BVH_BLOCK; l++) {
+        double u = x[2][l] * y[1][l] - y[2][l] * x[1][l];
+        double v = x[0][l] * y[2][l] - y[0][l] * x[2][l];
+        double w = x[1][l] * y[0][l] - y[1][l] * x[0][l];
+        double least = exact_min(exact_min(u, v), w), most = exact_max(exact_max(u, v), w);
+        mixed[l] = (least < 0.0) & (most > 0.0);
+    }
+    unsigned unmixed = 0;
+    for (int l = 0; l < BVH_BLOCK; l++)
+        unmixed |= (unsigned)(mixed[l] ^ 1) << l;
+    return unmixed;
+}
+
 static void offer_leaf(const struct accel *a, const struct trace_ray *r,
                        const struct bvh_leaf *leaf, double tmin, struct trace_best *best)
 {
-    for (int lane = 0; lane < BVH_BLOCK; lane++) {
+    for (unsigned lanes = leaf_unmixed(r, leaf); lanes; lanes &= lanes - 1) {
+        int lane = __builtin_ctz(lanes);
         struct exact_edges edges;
         float v[3][3];
         double t;
