@@ -12,7 +12,8 @@
  * rays file holds u32 n, then n times 8 floats: origin, tnear, direction, tfar. After each case
  * the answers are compared: single calls against batches bit for bit, and with each peer; where
  * ours and a peer's are apart, brute force in __float128 says which is wrong. Exit status: 0; 1 if
- * an answer of ours was wrong; 2 usage; 3 a file that cannot be read; 5 anything else. --fast
+ * an answer of ours was wrong; 2 usage; 3 a file that cannot be read or has no ray to be timed; 5
+ * anything else. --side is cut to a multiple of 16. --fast
  * also times scenes with --precision fast, against exact; --compact times compact trees against
  * normal ones, --sbvh those of builder sbvh against sah's. The SAH cost of Embree's builder is that
  * of the tree that its rtcBuildBVH makes of the same boxes, as binary as ours is before it is made
@@ -29,6 +30,7 @@
 
 #include "common/mem.h"
 #include "common/model_file.h"
+#include "common/number.h"
 #include "common/ply_file.h"
 #include "common/scene.h"
 #include "tests/bench/trace_agree.h"
@@ -597,8 +599,10 @@ static void read_rays(const char *path, struct trace_rays *out)
     memcpy(out->ray, data + sizeof count, count * sizeof *out->ray);
     mem_free(data);
     rays_keep_sane(path, out);
-    if (out->count == 0)
+    if (out->count == 0) {
         fprintf(stderr, "bench_trace: %s: there is no ray to be timed\n", path);
+        exit(3);
+    }
 }
 
 static void bench_files(struct bench *b)
@@ -657,6 +661,20 @@ static bool parse_isa(const char *name, enum accel_isa *out)
     return false;
 }
 
+/* A whole number from low to high and nothing else; says so if it is none. */
+static bool parse_count(const char *option, const char *text, int64_t low, int64_t high,
+                        int64_t *out)
+{
+    const char *end = text + strlen(text);
+    if (number_parse_int(text, end, out) == end && *out >= low && *out <= high)
+        return true;
+    fprintf(stderr,
+            "bench_trace: --%s: expected a whole number from %" PRId64 " to %" PRId64
+            ", not \"%s\"\n",
+            option, low, high, text);
+    return false;
+}
+
 static bool parse_options(int argc, char **argv, struct options *o)
 {
     static const struct option table[] = {
@@ -669,6 +687,7 @@ static bool parse_options(int argc, char **argv, struct options *o)
         {"sbvh", no_argument, NULL, 'h'},        {NULL, 0, NULL, 0},
     };
     *o = (struct options){.runs = 7};
+    int64_t count;
     int c;
     while ((c = getopt_long(argc, argv, "", table, NULL)) != -1) {
         switch (c) {
@@ -679,10 +698,14 @@ static bool parse_options(int argc, char **argv, struct options *o)
             o->json = optarg;
             break;
         case 'n':
-            o->runs = atoi(optarg);
+            if (!parse_count("runs", optarg, 1, RUNS_MAX, &count))
+                return false;
+            o->runs = (int)count;
             break;
         case 's':
-            o->side = (uint32_t)atoi(optarg) / 16 * 16;
+            if (!parse_count("side", optarg, 16, 16384, &count))
+                return false;
+            o->side = (uint32_t)count / 16 * 16;
             break;
         case 'c':
             o->scene = optarg;
@@ -716,8 +739,7 @@ static bool parse_options(int argc, char **argv, struct options *o)
     }
     if (o->side == 0)
         o->side = o->quick ? 192 : 512;
-    return optind == argc && o->runs >= 1 && o->runs <= RUNS_MAX && o->side >= 16 &&
-           o->side <= 16384 && !o->mesh == !o->rays;
+    return optind == argc && !o->mesh == !o->rays;
 }
 
 int main(int argc, char **argv)
