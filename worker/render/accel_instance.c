@@ -191,4 +191,3 @@ void accel_slacks_share(struct accel *a)
         a->motions[i].filter_share = stretch <= TRACE_STRETCH_FAST ? 1.0f : NAN;
     }
 }
-

@@ -111,7 +111,8 @@ static inline float accel_round_up(double x)
 /* The box of a triangle; the caller sets what else a reference has. *out lies at 16 bytes. */
 void accel_triangle_ref(const struct accel_mesh *m, uint32_t triangle, struct bvh_ref *out);
 
-/* The box of an instance, from that of its mesh alone, whatever tree that has: answers depend on it.
+/* The box of an instance, from that of its mesh alone, whatever tree that has: answers depend on
+ * it.
  */
 void accel_instance_ref(const struct accel_object *o, const struct bvh *mesh, struct bvh_ref *out);
 

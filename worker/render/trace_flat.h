@@ -274,9 +274,8 @@ static __attribute__((noinline)) double flat_closest_of_four(const struct accel_
     return tmax;
 }
 
-static __attribute__((noinline)) bool flat_blocks_of_four(const struct accel_flat *f,
-                                                          const struct trace_ray *r, double tmin,
-                                                          double tmax)
+static __attribute__((noinline)) bool
+flat_blocks_of_four(const struct accel_flat *f, const struct trace_ray *r, double tmin, double tmax)
 {
     struct flat_four h;
     flat_decide_all(f, r, tmin, tmax, &h);

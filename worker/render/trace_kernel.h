@@ -16,12 +16,12 @@
 #include <string.h>
 
 #include "worker/render/trace_leaf.h"
+#include "worker/render/trace_wait.h"
 
 enum {
     TRACE_BATCH = 16,
-    PUT_OFF_MAX = 32, /* objects that wait for their tree until nothing else is left */
     STACK_SLACK = BVH_WIDTH + PUT_OFF_MAX,
-    INTERLEAVE_MIN = 1 << 22,     /* bytes of a tree that does not stay in a core's own caches */
+    INTERLEAVE_MIN = 1 << 23,     /* bytes of a tree that does not stay in a core's own caches */
     INTERLEAVE_ANY_MIN = 1 << 16, /* the same where no order of visits is kept up */
     AHEAD_MIN = 1 << 17,          /* bytes of a tree that does not stay in the innermost cache */
     AHEAD_LINES = 20,             /* of 64 bytes: a node's leaves, and some of the next node's */
@@ -193,64 +193,6 @@ static __attribute__((noinline)) bool object_any(const struct accel *a, const st
         return false;
     ready_instance_triangles(a, number, &way, &inner);
     return mesh_any(a, tree, &inner, tmin * inner.unscale, tmax * inner.unscale);
-}
-
-/* --- Objects whose trees may wait ------------------------------------------ */
-
-/* Where the ray enters the object's box, as a key of the stack. */
-static inline uint32_t waiting_key(const struct accel *a, uint32_t number,
-                                   const struct trace_ray *r, float from)
-{
-    const float *box = a->lazy->boxes[number];
-    for (int k = 0; k < 3; k++) {
-        float near = box[r->row[k] / TRACE_ROW] * r->inverse[k] - r->near_offset[k];
-        from = near > from ? near : from;
-    }
-    return float_bits(from) & ~(uint32_t)KEY_SLOT_MASK;
-}
-
-/* Puts an object that has no tree yet at the bottom of the stack, whose first *put_off entries are
- * such, the farthest lowest: what is built may stop the ray before. False: nothing but farther ones
- * is left, or too many are put off. */
-static __attribute__((noinline)) bool put_off_object(const struct accel *a,
-                                                     const struct trace_ray *r, float from,
-                                                     uint32_t ref, uint32_t *keys, uint32_t *refs,
-                                                     uint32_t *top, uint32_t *put_off)
-{
-    *put_off = *put_off < *top ? *put_off : *top;
-    uint32_t key = waiting_key(a, ref >> BVH_KIND_BITS, r, from), at = *put_off;
-    bool nearest = at == 0 || keys[at - 1] >= key;
-    if ((*top == at && nearest) || at == PUT_OFF_MAX)
-        return false;
-    while (at > 0 && keys[at - 1] < key)
-        at--;
-    memmove(refs + at + 1, refs + at, (*top - at) * sizeof *refs);
-    memmove(keys + at + 1, keys + at, (*top - at) * sizeof *keys);
-    refs[at] = ref;
-    keys[at] = key;
-    ++*put_off;
-    ++*top;
-    return true;
-}
-
-enum waiting { WAITING_NOT, WAITING_READY, WAITING_PUT_OFF };
-
-/* An object that may have a tree of its own in the scene's arena. READY: go on with *ref, its root;
- * PUT_OFF: go on with the stack; NOT: it is of another kind. */
-static inline enum waiting object_waits(const struct accel *a, const struct trace_ray *r,
-                                        float from, uint32_t *ref, uint32_t *keys, uint32_t *refs,
-                                        uint32_t *top, uint32_t *put_off)
-{
-    uint32_t root = accel_lazy_root(a, *ref >> BVH_KIND_BITS);
-    if (root == ACCEL_NOT_LAZY)
-        return WAITING_NOT;
-    if (root == ACCEL_UNBUILT) {
-        if (put_off_object(a, r, from, *ref, keys, refs, top, put_off))
-            return WAITING_PUT_OFF;
-        root = accel_lazy_build(a, *ref >> BVH_KIND_BITS);
-    }
-    *ref = root;
-    return WAITING_READY;
 }
 
 /* --- One ray -------------------------------------------------------------- */

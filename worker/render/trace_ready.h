@@ -143,9 +143,8 @@ static inline void ready_boxes(const struct ready_way *way, struct trace_ray *ou
 }
 
 /* What triangles need; `sure`: what float decides by itself as well. */
-static inline __attribute__((always_inline)) void ready_triangles(const struct ready_way *way,
-                                                                  double reach, bool sure,
-                                                                  struct trace_ray *out)
+static inline __attribute__((always_inline)) void
+ready_triangles(const struct ready_way *way, double reach, bool sure, struct trace_ray *out)
 {
     _Static_assert(offsetof(struct trace_ray, filter_slack) ==
                        offsetof(struct trace_ray, filter_slope) + sizeof(float),
