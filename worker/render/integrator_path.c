@@ -71,7 +71,9 @@ static void add_environments(const struct render_scene *scene, struct render_scr
     for (uint32_t k = 0; k < count; k++) {
         struct path *path = &w->paths[w->active[rays[k]]];
         double weight;
-        if (!is_found_alone(scene, path, pdf[k], &weight))
+        if (path->pdf == 0)
+            weight = through_weight(scene, &path->through, scene->lights.environment_light);
+        else if (!is_found_alone(scene, path, pdf[k], &weight))
             weight = next_event_sky_weight(path->pdf, path->candidates * pdf[k]);
         path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky[k]), weight));
     }
@@ -116,13 +118,16 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
         return;
     uint32_t light = scene->object_lights[object->light_begin + s->primitive];
     double weight = 1;
+    rgb light_in;
     if (path->pdf > 0 && light != SCENE_NONE) {
         vec3 d = v3_sub(s->p, path->org);
         double pdf = light_pdf(&scene->lights, light, path->org, path->n, v3_dot(d, d), cosine);
         if (!is_found_alone(scene, path, pdf, &weight))
             weight = next_event_weight(path->pdf, path->candidates * pdf);
+    } else if (replay_lamp(scene, s, dir, &light_in)) {
+        weight = through_weight(scene, &path->through, light);
     }
-    rgb light_in = rgb_mul(path->beta, object->radiance);
+    light_in = rgb_mul(path->beta, object->radiance);
     /* What light sampling finds too must be the same there: at points. */
     if (object->emission_texture != SCENE_NONE || object->emission_colors)
         light_in =
@@ -215,7 +220,7 @@ static void cast_shadow(struct render_scratch *w, const struct vertex *v,
 
 /* Next-event estimation: shadow rays to points drawn on lights. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
-                           struct vertex *v)
+                           struct vertex *v, uint32_t depth)
 {
     struct next_event event;
     const struct path *path = &w->paths[w->active[v->from]];
@@ -227,24 +232,27 @@ static void connect_lights(const struct render_scene *scene, struct render_scrat
         return;
     }
     for (uint32_t i = 0; i < v->points; i++) {
-        rgb arriving;
-        if (v->lit >> i & 1 && next_event_weigh(scene, &v->at, v->points, &v->lights[i], &arriving))
-            cast_shadow(w, v, &v->lights[i], arriving);
+        event.light = v->lights[i];
+        if (!(v->lit >> i & 1) || !next_event_weigh(scene, &v->at, v->points, &event))
+            continue;
+        cast_shadow(w, v, &event.light, event.arriving);
+        through_note(scene, w, depth, v->points, &event);
     }
 }
 
 /* Below the threshold a path survives in proportion to what it carries, and then carries the
  * threshold again. */
-static bool survives(const struct render_scene *scene, struct path *path, struct choices *choices)
+static bool survives(const struct render_scene *scene, struct path *path, struct choices *choices,
+                     double *probability)
 {
     double carried = rgb_max(path->beta) * path->eta2 * path->carried;
     double threshold = scene->spec.rr_threshold;
     if (!(carried < threshold))
         return true;
-    double probability = carried / threshold;
-    if (!(choose(choices, path, CHOICE_ROULETTE) < probability))
+    *probability = carried / threshold;
+    if (!(choose(choices, path, CHOICE_ROULETTE) < *probability))
         return false;
-    path->beta = rgb_scale(path->beta, 1 / probability);
+    path->beta = rgb_scale(path->beta, 1 / *probability);
     return true;
 }
 
@@ -258,10 +266,11 @@ static bool last_edge_counts(const struct render_scene *scene, bool delta)
            (scene->spec.profile == JOB_PROFILE_MIS && scene->lights.any_hittable);
 }
 
-/* Draws where the path goes on; false if it ends. */
+/* Draws where the path goes on; false if it ends. *survival: the probability that roulette left
+ * it, 1 from the caller. */
 static bool scatter(const struct render_scene *scene, struct path *path, const struct shade *at,
                     const double direction[2], struct choices *choices, bool shares, bool first,
-                    vec3 *wi, struct bsdf_sample *sample)
+                    vec3 *wi, struct bsdf_sample *sample, double *survival)
 {
     double lobe = at->bsdf.material->one_lobe ? 0 : choose(choices, path, CHOICE_LOBE);
     const double u[3] = {direction[0], direction[1], lobe};
@@ -283,7 +292,7 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     if (path->candidates == 1)
         path->candidates = next_event_points(scene, first);
     /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
-    return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices));
+    return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices, survival));
 }
 
 /* True if every vertex that samples lights asks for a number that chooses. */
@@ -309,7 +318,9 @@ static bool arrive(const struct render_scene *scene, struct render_scratch *w, u
         wave_shade(scene, w, from, v->footprint, &v->at);
     else
         shade_of_hit(scene, hit, v->dir, v->footprint, &v->at);
-    if (scene->objects[hit->object].light_begin != SCENE_NONE)
+    bool ends_way = !shared && w->reuse[index].state == REUSE_WAY &&
+                    replay_arrive(scene, w, index, &v->at, v->dir);
+    if (scene->objects[hit->object].light_begin != SCENE_NONE && !ends_way)
         add_emission(scene, &w->paths[index], hit, &v->at.surface, v->dir, v->footprint);
     if (shared)
         reuse_arrive(w, index, &v->at, v->dir);
@@ -328,7 +339,7 @@ static bool leave(const struct render_scene *scene, struct render_scratch *w, st
     const struct material *m = v->at.bsdf.material;
     const double direction[2] = {w->vertex_u[0][v->from], w->vertex_u[1][v->from]};
     if (v->candidates > 0)
-        connect_lights(scene, w, v);
+        connect_lights(scene, w, v, depth);
     if (depth + 1 == depth_max && !last_edge_counts(scene, m->is_delta))
         return false;
     path->light_u[0] = w->vertex_u[2][v->from];
@@ -340,8 +351,16 @@ static bool leave(const struct render_scene *scene, struct render_scratch *w, st
         shares = true;
     }
     struct bsdf_sample sample;
-    if (!scatter(scene, path, &v->at, direction, &v->choices, shares, depth == 1, &wi, &sample))
+    double survival = 1;
+    if (!scatter(scene, path, &v->at, direction, &v->choices, shares, depth == 1, &wi, &sample,
+                 &survival))
         return false;
+    if (w->reuse[index].state == REUSE_WAY)
+        replay_turn(&w->reuse[index], &sample, survival);
+    if (!m->is_delta)
+        path->through = through_of(scene, &v->at, depth == 1, wi, sample.pdf);
+    else
+        through_turn(&path->through, m, &sample, w->hits[v->from].t);
     if (v->footprint)
         wave_leave(scene, &v->at, &w->hits[v->from], v->dir, wi, &sample, v->footprint);
     const struct surface *s = &v->at.surface;

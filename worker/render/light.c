@@ -388,9 +388,12 @@ uint32_t light_sample_many(const struct light_table *t, vec3 p, vec3 n, uint32_t
     }
     if (spheres)
         there |= sample_spheres(t, p, spheres, lights, u, v, s);
-    for (uint32_t k = 0; k < count; k++)
-        if (there >> k & 1)
-            s[k].pdf *= probabilities[k];
+    for (uint32_t k = 0; k < count; k++) {
+        if (!(there >> k & 1))
+            continue;
+        s[k].pdf *= probabilities[k];
+        s[k].light = lights[k];
+    }
     return there;
 }
 
@@ -405,6 +408,7 @@ bool light_sample(const struct light_table *t, vec3 p, vec3 n, double choose, do
     if (light == SCENE_NONE || !sample_light(t, light, p, n, u, v, s))
         return false;
     s->pdf *= probability;
+    s->light = light;
     return true;
 }
 
@@ -441,12 +445,12 @@ uint32_t light_sample_points(const struct light_table *t, uint32_t count,
                              const struct light_point points[], struct light_sample s[])
 {
     const struct environment *e = &t->environment;
-    uint32_t there = 0, sky = 0;
+    uint32_t lights[LIGHT_POINTS_MAX], there = 0, sky = 0;
     double probabilities[LIGHT_POINTS_MAX];
     for (uint32_t k = 0; k < count && t->count > 0; k++) {
         const struct light_point *at = &points[k];
-        uint32_t light;
-        choose_lights(t, at->p, at->n, 1, &at->choose, &light, &probabilities[k]);
+        choose_lights(t, at->p, at->n, 1, &at->choose, &lights[k], &probabilities[k]);
+        uint32_t light = lights[k];
         if (light == t->environment_light && light != SCENE_NONE && e->texture)
             sky |= 1u << k;
         else if (light != SCENE_NONE && sample_light(t, light, at->p, at->n, at->u, at->v, &s[k]))
@@ -460,9 +464,12 @@ uint32_t light_sample_points(const struct light_table *t, uint32_t count,
                                              points[k].u, points[k].v, &s[k]))
                 there |= 1u << k;
     }
-    for (uint32_t k = 0; k < count; k++)
-        if (there >> k & 1)
-            s[k].pdf *= probabilities[k];
+    for (uint32_t k = 0; k < count; k++) {
+        if (!(there >> k & 1))
+            continue;
+        s[k].pdf *= probabilities[k];
+        s[k].light = lights[k];
+    }
     return there;
 }
 
@@ -479,4 +486,44 @@ double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, do
         return cap > 0 ? probability / (2 * VEC_PI * cap) : 0;
     }
     return probability * distance2 / (cos_light * l->area);
+}
+
+/* How far from p in direction w a light with an area is, and the cosine at its normal; false where
+ * it is not. */
+static bool light_is_towards(const struct light *l, vec3 p, vec3 w, double *distance,
+                             double *cosine)
+{
+    vec3 d = v3_sub(l->v0, p);
+    if (l->type == LIGHT_SPHERE) {
+        double along = v3_dot(d, w), out = l->radius * l->radius - (v3_dot(d, d) - along * along);
+        *distance = along - sqrt(out > 0 ? out : 0);
+        *cosine = 1;
+        return out > 0;
+    }
+    double down = v3_dot(l->n, w);
+    if (down == 0 || (down > 0 && !l->twosided))
+        return false;
+    *cosine = fabs(down);
+    *distance = v3_dot(d, l->n) / down;
+    vec3 q = v3_sub(v3_scale(w, *distance), d), normal = v3_cross(l->e1, l->e2);
+    double area2 = v3_dot(normal, normal);
+    double a = v3_dot(v3_cross(q, l->e2), normal) / area2;
+    double b = v3_dot(v3_cross(l->e1, q), normal) / area2;
+    return a >= 0 && b >= 0 && (l->type == LIGHT_QUAD ? a <= 1 && b <= 1 : a + b <= 1);
+}
+
+double light_pdf_towards(const struct light_table *t, uint32_t index, vec3 p, vec3 n, vec3 w,
+                         double beyond)
+{
+    const struct light *l = &t->lights[index];
+    double pdf, distance, cosine;
+    if (l->type == LIGHT_ENVIRONMENT) {
+        (void)environment_radiance(t, n, w, &pdf);
+        return pdf;
+    }
+    if (l->type != LIGHT_TRIANGLE && l->type != LIGHT_QUAD && l->type != LIGHT_SPHERE)
+        return 0;
+    if (!light_is_towards(l, p, w, &distance, &cosine) || !(distance > beyond))
+        return 0;
+    return light_pdf(t, index, p, n, distance * distance, cosine);
 }

@@ -79,12 +79,13 @@ struct light_table {
 };
 
 struct light_sample {
-    vec3 wi;      /* unit, towards the light */
-    vec3 target;  /* end of the shadow ray; scene space; unused when distant */
-    bool distant; /* the shadow ray has no end */
-    bool delta;   /* a single direction: no other technique can find it */
-    rgb radiance; /* arriving along wi when nothing is in the way */
-    double pdf;   /* per steradian, times the probability of the light; delta: the latter only */
+    vec3 wi;        /* unit, towards the light */
+    vec3 target;    /* end of the shadow ray; scene space; unused when distant */
+    bool distant;   /* the shadow ray has no end */
+    bool delta;     /* a single direction: no other technique can find it */
+    rgb radiance;   /* arriving along wi when nothing is in the way */
+    double pdf;     /* per steradian, times the probability of the light; delta: the latter only */
+    uint32_t light; /* its number */
 };
 
 /* A direction to a light from p on a surface that scatters to the side of the unit normal n, or, if
@@ -116,6 +117,11 @@ uint32_t light_sample_points(const struct light_table *t, uint32_t count,
  * squared `distance2` on light `index`, seen under the cosine `cos_light` > 0 at its own normal. */
 double light_pdf(const struct light_table *t, uint32_t index, vec3 p, vec3 n, double distance2,
                  double cos_light);
+
+/* Density with which light_sample from `p` and `n` draws the unit direction w for light `index`,
+ * whatever is in between; 0 where that does not lie there, nor further than `beyond`. */
+double light_pdf_towards(const struct light_table *t, uint32_t index, vec3 p, vec3 n, vec3 w,
+                         double beyond);
 
 /* True if it is at a place, which all are but distant lights and the environment. */
 static inline bool light_has_place(const struct light *l)

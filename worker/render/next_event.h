@@ -23,6 +23,8 @@ struct next_event {
     struct light_sample light;
     rgb arriving; /* what it sends back along the path when nothing is in the way, over its density
                    */
+    rgb f;        /* of next_event_weigh: what the surface scatters from there, */
+    double pdf;   /* and the density with which it draws the direction */
 };
 
 /* How many candidates a surface of this material draws. */
@@ -35,10 +37,10 @@ vec3 next_event_side(const struct shade *at);
  * one of its own; `first`: of its path. */
 uint32_t next_event_points(const struct render_scene *scene, bool first);
 
-/* What the only candidate of a vertex, for one of `points` shadow rays, sends back along the path;
- * false if nothing. */
+/* Fills in what event->light, the only candidate of a vertex for one of `points` shadow rays, sends
+ * back along the path; false if nothing. */
 bool next_event_weigh(const struct render_scene *scene, const struct shade *at, uint32_t points,
-                      const struct light_sample *light, rgb *arriving);
+                      struct next_event *event);
 
 /* Draws `count` candidates and keeps one. `choose` picks their lights, u and v their points, `keep`
  * which is kept; all uniform in [0,1), `keep` looked at only if there are several. False when

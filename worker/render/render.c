@@ -151,6 +151,7 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     path->eta2 = path->carried = 1;
     path->pdf = 0;
     path->candidates = 1;
+    path->through.points = 0;
     path->asked = 0;
     w->reuse[index].state = REUSE_NONE;
 }

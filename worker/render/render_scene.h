@@ -79,6 +79,7 @@ struct render_scene {
     bool has_filtered;     /* some texture is averaged over footprints */
     double footprint_step; /* pixels between samples of the job */
     bool has_alpha;        /* some surface lets light through: shadow rays must look */
+    bool has_glass;        /* some surface lets light through in one direction */
     vec3 seed_light_position;
     rgb seed_light_flux;
 };

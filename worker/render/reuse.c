@@ -52,6 +52,11 @@ void reuse_arrive(struct render_scratch *w, uint32_t index, const struct shade *
     struct path *path = &w->paths[index];
     const struct material *m = y->bsdf.material;
     r->state = REUSE_ALONE;
+    if (replay_passes(m)) {
+        r->state = REUSE_WAY;
+        r->way = (struct replay){.wi = dir, .density = path->pdf, .survival = 1};
+        return;
+    }
     if (m->type != SCENE_MATERIAL_DIFFUSE || y->bent || !(y->wo.z > 0 || m->twosided))
         return;
     double side = y->wo.z > 0 ? 1 : -1;
@@ -78,9 +83,8 @@ static bool similar(const struct reuse *a, const struct reuse *b)
            v3_dot(a->x.surface.ns, b->x.surface.ns) > SIMILAR_COSINE;
 }
 
-/* Numbers the clusters of the paths begin..end: each joins the first one whose first member is
- * similar. Paths without x get none of others. */
-static void make_clusters(const struct reuse *r, uint32_t count, uint32_t cluster[])
+/* Each joins the first cluster whose first member is similar. */
+void reuse_cluster(const struct reuse *r, uint32_t count, uint32_t cluster[])
 {
     for (uint32_t i = 0; i < count; i++) {
         cluster[i] = i;
@@ -179,7 +183,7 @@ static void thin_out(struct render_scratch *w, uint32_t begin, uint32_t end)
 static void connect_group(struct render_scratch *w, uint32_t begin, uint32_t end)
 {
     uint32_t cluster[WAVE_GROUP_PATHS];
-    make_clusters(w->reuse + begin, end - begin, cluster);
+    reuse_cluster(w->reuse + begin, end - begin, cluster);
     keep_small(w, begin, end);
     if (end - begin > 1)
         thin_out(w, begin, end);
@@ -240,4 +244,5 @@ void reuse_combine(const struct render_scene *scene, struct render_scratch *w)
         connect_group(w, w->groups[g], w->groups[g + 1]);
     }
     combine_groups(scene, w, w->groups[first], w->path_count);
+    replay_combine(scene, w);
 }

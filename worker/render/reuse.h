@@ -17,7 +17,7 @@
 #ifndef WORKER_RENDER_REUSE_H
 #define WORKER_RENDER_REUSE_H
 
-#include "worker/render/shade.h"
+#include "worker/render/replay.h"
 
 struct render_scratch;
 
@@ -26,6 +26,8 @@ enum reuse_state {
     REUSE_LEFT,  /* left x, at no y yet */
     REUSE_FOUND, /* at a y that can be shared; what follows is the light going out from it */
     REUSE_ALONE, /* at a y that cannot be shared */
+    REUSE_WAY,   /* on a way over surfaces without density (replay.h) */
+    REUSE_LAMP,  /* and at its end */
 };
 
 struct reuse {
@@ -40,10 +42,11 @@ struct reuse {
     rgb radiance;   /* what the path had gathered before y */
     vec3 y, ng, ns; /* of y; the normals are on the side that the light goes out from */
     double error;
-    bool kept;      /* worth too little to the others for their shadow rays */
-    double pdf;     /* with which this path drew y, per area */
-    double pdf_sum; /* and that of all paths of the cluster that see y */
-    rgb shared;     /* the light that leaves y, over pdf_sum */
+    bool kept;         /* worth too little to the others for their shadow rays */
+    double pdf;        /* with which this path drew y, per area */
+    double pdf_sum;    /* and that of all paths of the cluster that see y */
+    rgb shared;        /* the light that leaves y, over pdf_sum */
+    struct replay way; /* from REUSE_WAY on */
 };
 
 enum { REUSE_CONNECTIONS = 4096 };
@@ -69,6 +72,9 @@ void reuse_land(struct render_scratch *w, uint32_t index);
 
 /* Tells that it has arrived from there, in direction `dir`, after emission was added. */
 void reuse_arrive(struct render_scratch *w, uint32_t index, const struct shade *y, vec3 dir);
+
+/* Numbers the clusters of a group's paths. Paths without x get none of others. */
+void reuse_cluster(const struct reuse *r, uint32_t count, uint32_t cluster[]);
 
 /* Shares: afterwards path.radiance is complete. */
 void reuse_combine(const struct render_scene *scene, struct render_scratch *w);

@@ -131,6 +131,7 @@ void wave_shadow(struct render_scratch *w, uint32_t path, vec3 org, vec3 target,
     ray->tmax = distant ? VEC_INFINITY : 1;
     w->shadow_path[w->shadow_count] = path;
     w->shadow_radiance[w->shadow_count] = radiance;
+    w->looks[w->shadow_count].light = SCENE_NONE;
     w->shadow_count++;
 }
 
@@ -189,5 +190,7 @@ void wave_gather(const struct render_scene *scene, struct render_scratch *w)
         struct path *path = &w->paths[w->shadow_path[i]];
         path->radiance = rgb_add(path->radiance, w->shadow_radiance[i]);
     }
+    if (through_wanted(scene))
+        through_gather(scene, w);
     w->shadow_count = 0;
 }

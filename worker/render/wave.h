@@ -15,6 +15,7 @@
 #include "worker/render/render.h"
 #include "worker/render/reuse.h"
 #include "worker/render/sampler.h"
+#include "worker/render/through.h"
 
 enum {
     WAVE_PATHS = 1024,
@@ -32,10 +33,11 @@ struct path {
     double carried; /* what beta is multiplied by in roulette: throughput set aside by reuse */
     double pdf;     /* with which the last direction was drawn; 0: by a delta lobe, or camera */
     vec3 org, n;    /* where the last direction left from, and light_sample's n there */
-    uint32_t candidates; /* samples of lights that were drawn there */
-    double light_u[2];   /* where on a light the next vertex looks */
-    uint32_t asked;      /* surfaces met that are not quite opaque */
-    uint32_t x, y;       /* pixel of the full picture */
+    uint32_t candidates;    /* samples of lights that were drawn there */
+    double light_u[2];      /* where on a light the next vertex looks */
+    uint32_t asked;         /* surfaces met that are not quite opaque */
+    struct through through; /* from the last vertex with a density */
+    uint32_t x, y;          /* pixel of the full picture */
 };
 
 struct render_scratch {
@@ -57,6 +59,7 @@ struct render_scratch {
     struct ray shadow_rays[WAVE_PATHS];
     rgb shadow_radiance[WAVE_PATHS];
     uint32_t shadow_path[WAVE_PATHS];
+    struct through_look looks[WAVE_PATHS];
     uint8_t occluded[WAVE_PATHS];
     uint32_t shadow_count;
 
@@ -74,6 +77,8 @@ struct render_scratch {
     double shadow_end[WAVE_PATHS][3];
 
     struct reuse_connections connections;
+    struct replay_lane lanes[WAVE_PATHS];
+    uint32_t lane_count;
 
     /* AOVs of kind MEAN of the path of the same number; only where some are asked for. */
     double means[WAVE_PATHS][AOV_MEAN_PLANES_MAX];

@@ -178,6 +178,8 @@ enum err scene_build_materials(struct render_scene *rs, const struct scene *scen
         rs->materials[material].has_alpha |= reads_alphas(scene, &scene->objects[i]);
         rs->has_alpha |= rs->materials[material].has_alpha;
         rs->has_filtered |= rs->materials[material].filtered;
+        enum scene_material_type type = rs->materials[material].type;
+        rs->has_glass |= type == SCENE_MATERIAL_GLASS || type == SCENE_MATERIAL_REFRACTION;
     }
     return ERR_OK;
 }
