@@ -19,6 +19,8 @@ tilery_test(test_opacity LABEL render TIMEOUT 300 LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_opacity.c ${render_kit})
 tilery_test(test_caustics LABEL render TIMEOUT 300 LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_caustics.c ${render_kit})
+tilery_test(test_outline LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_outline.c ${render_kit})
 tilery_test(test_random_scenes LABEL render TIMEOUT 300 LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_random_scenes.c ${render_kit})
 tilery_test(test_light_tree LABEL render LINKS tl_worker m

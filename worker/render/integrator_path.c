@@ -75,6 +75,7 @@ static void add_environments(const struct render_scene *scene, struct render_scr
             weight = through_weight(scene, &path->through, scene->lights.environment_light);
         else if (!is_found_alone(scene, path, pdf[k], &weight))
             weight = next_event_sky_weight(path->pdf, path->candidates * pdf[k]);
+        weight *= path->share;
         path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky[k]), weight));
     }
 }
@@ -132,6 +133,7 @@ static void add_emission(const struct render_scene *scene, struct path *path, co
     if (object->emission_texture != SCENE_NONE || object->emission_colors)
         light_in =
             rgb_mul(light_in, shade_emission(scene, hit, s, path->pdf == 0 ? footprint : NULL));
+    weight *= path->share;
     path->radiance = rgb_add(path->radiance, rgb_scale(light_in, weight));
 }
 
@@ -147,6 +149,12 @@ static void look(const struct render_scene *scene, struct looks *l, struct verte
         vertices[l->vertices[i]].lights[l->numbers[i]] = lights[i];
     }
     l->count = 0;
+}
+
+/* How many points on lights a path's vertex draws: a twig's one, since there are more of them. */
+static uint32_t points_of(const struct render_scene *scene, const struct path *path, uint32_t depth)
+{
+    return next_event_points(scene, depth == 1 && !path->twig);
 }
 
 /* The numbers of the points of vertices that draw several: point k of one is u[..][its number times
@@ -183,18 +191,18 @@ static void find_lights(const struct render_scene *scene, struct render_scratch 
         const struct material *m = v->at.bsdf.material;
         bool wanted = !m->is_delta && scene->spec.profile != JOB_PROFILE_RW;
         v->candidates = wanted ? next_event_count(scene, m) : 0;
-        v->points = v->candidates == 1 ? points : 0;
+        v->points = v->candidates == 1 ? points_of(scene, path, depth) : 0;
         v->lit = 0;
         if (v->candidates != 1)
             continue;
         double light = scene->lights.count > 1 ? choose(&v->choices, path, CHOICE_LIGHT) : 0;
-        for (uint32_t i = 0; i < points; i++) {
+        for (uint32_t i = 0; i < v->points; i++) {
             const uint32_t number = k * NEXT_EVENT_POINTS_MAX + i;
             struct light_point *p = &looks.points[looks.count];
             *p = (struct light_point){v->at.surface.p, next_event_side(&v->at), light,
                                       path->light_u[0], path->light_u[1]};
-            if (points > 1) {
-                p->choose = (light + i) / points;
+            if (v->points > 1) {
+                p->choose = (light + i) / v->points;
                 p->u = u[0][number];
                 p->v = u[1][number];
             }
@@ -214,17 +222,18 @@ static void cast_shadow(struct render_scratch *w, const struct vertex *v,
     const struct surface *s = &v->at.surface;
     uint32_t index = w->active[v->from];
     vec3 org = surface_offset(s->p, s->ng, s->error, light->wi);
+    const struct path *path = &w->paths[index];
     wave_shadow(w, index, org, light->target, light->distant, light->wi,
-                rgb_mul(arriving, w->paths[index].beta));
+                rgb_scale(rgb_mul(arriving, path->beta), path->share));
 }
 
 /* Next-event estimation: shadow rays to points drawn on lights. */
 static void connect_lights(const struct render_scene *scene, struct render_scratch *w,
                            struct vertex *v, uint32_t depth)
 {
-    struct next_event event;
     const struct path *path = &w->paths[w->active[v->from]];
     if (v->candidates > 1) {
+        struct next_event event;
         double light = choose(&v->choices, path, CHOICE_LIGHT);
         double keep = choose(&v->choices, path, CHOICE_CANDIDATE);
         if (next_event_draw(scene, &v->at, v->candidates, light, keep, path->light_u, &event))
@@ -232,11 +241,13 @@ static void connect_lights(const struct render_scene *scene, struct render_scrat
         return;
     }
     for (uint32_t i = 0; i < v->points; i++) {
-        event.light = v->lights[i];
-        if (!(v->lit >> i & 1) || !next_event_weigh(scene, &v->at, v->points, &event))
+        struct next_event_view view;
+        const struct light_sample *light = &v->lights[i];
+        if (!(v->lit >> i & 1) || !next_event_weigh(scene, &v->at, v->points, light, &view))
             continue;
-        cast_shadow(w, v, &event.light, event.arriving);
-        through_note(scene, w, depth, v->points, &event);
+        cast_shadow(w, v, light, view.arriving);
+        if (through_wanted(scene))
+            through_note(scene, w, depth, v->points, light, &view);
     }
 }
 
@@ -269,7 +280,7 @@ static bool last_edge_counts(const struct render_scene *scene, bool delta)
 /* Draws where the path goes on; false if it ends. *survival: the probability that roulette left
  * it, 1 from the caller. */
 static bool scatter(const struct render_scene *scene, struct path *path, const struct shade *at,
-                    const double direction[2], struct choices *choices, bool shares, bool first,
+                    const double direction[2], struct choices *choices, bool shares, uint32_t depth,
                     vec3 *wi, struct bsdf_sample *sample, double *survival)
 {
     double lobe = at->bsdf.material->one_lobe ? 0 : choose(choices, path, CHOICE_LOBE);
@@ -290,7 +301,7 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     path->n = next_event_side(at);
     path->candidates = next_event_count(scene, at->bsdf.material);
     if (path->candidates == 1)
-        path->candidates = next_event_points(scene, first);
+        path->candidates = points_of(scene, path, depth);
     /* What leaves a vertex that shares is the others' as well: it ends for no reason of its own. */
     return shares || (rgb_max(path->beta) > 0 && survives(scene, path, choices, survival));
 }
@@ -322,6 +333,11 @@ static bool arrive(const struct render_scene *scene, struct render_scratch *w, u
                     replay_arrive(scene, w, index, &v->at, v->dir);
     if (scene->objects[hit->object].light_begin != SCENE_NONE && !ends_way)
         add_emission(scene, &w->paths[index], hit, &v->at.surface, v->dir, v->footprint);
+    if (w->paths[index].pdf > 0) {
+        if (w->paths[index].twig)
+            return false;
+        w->paths[index].share = 1;
+    }
     if (shared)
         reuse_arrive(w, index, &v->at, v->dir);
     v->choices = (struct choices){.drawn = chooses_always(scene) ? &w->choice_u[0][from] : NULL,
@@ -352,20 +368,30 @@ static bool leave(const struct render_scene *scene, struct render_scratch *w, st
     }
     struct bsdf_sample sample;
     double survival = 1;
-    if (!scatter(scene, path, &v->at, direction, &v->choices, shares, depth == 1, &wi, &sample,
+    if (!scatter(scene, path, &v->at, direction, &v->choices, shares, depth, &wi, &sample,
                  &survival))
         return false;
     if (w->reuse[index].state == REUSE_WAY)
         replay_turn(&w->reuse[index], &sample, survival);
-    if (!m->is_delta)
-        path->through = through_of(scene, &v->at, depth == 1, wi, sample.pdf);
-    else
+    if (through_wanted(scene) && m->is_delta)
         through_turn(&path->through, m, &sample, w->hits[v->from].t);
+    else if (through_wanted(scene))
+        path->through = through_of(scene, &v->at, depth == 1 && !path->twig, wi, sample.pdf);
     if (v->footprint)
         wave_leave(scene, &v->at, &w->hits[v->from], v->dir, wi, &sample, v->footprint);
     const struct surface *s = &v->at.surface;
     wave_continue(w, slot, index, surface_offset(s->p, s->ng, s->error, wi), wi);
     return true;
+}
+
+/* What twigs have found is their owners'. */
+static void gather_twigs(struct render_scratch *w)
+{
+    for (uint32_t i = WAVE_PATHS; i > w->twig_begin; i--) {
+        const struct path *twig = &w->paths[i - 1];
+        struct path *owner = &w->paths[twig->owner];
+        owner->twigs = rgb_add(owner->twigs, rgb_scale(twig->radiance, twig->filter_weight));
+    }
 }
 
 /* All rays under way go on from what they hit, a few at a time. */
@@ -406,6 +432,7 @@ void integrate_path(const struct render_scene *scene, struct render_scratch *w)
         advance(scene, w, depth, depth_max);
         wave_gather(scene, w);
     }
+    gather_twigs(w);
     if (wave_group_side(scene) > 1)
         reuse_combine(scene, w);
 }

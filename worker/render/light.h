@@ -76,6 +76,7 @@ struct light_table {
     struct environment environment;
     uint32_t environment_light; /* its index, or SCENE_NONE */
     bool any_hittable;          /* some light is a surface or the sky: a ray can find it */
+    bool any_lamp;              /* some light is a surface */
 };
 
 struct light_sample {

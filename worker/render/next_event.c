@@ -37,19 +37,17 @@ static rgb arriving_from(const struct render_scene *scene, const struct shade *a
 }
 
 bool next_event_weigh(const struct render_scene *scene, const struct shade *at, uint32_t points,
-                      struct next_event *event)
+                      const struct light_sample *light, struct next_event_view *view)
 {
-    const struct light_sample *light = &event->light;
     double wi_z = v3_dot(at->frame.n, light->wi), pdf;
     if (!shade_is_consistent(at, light->wi, wi_z))
         return false;
     rgb f = at->bsdf.material->type == SCENE_MATERIAL_DIFFUSE
                 ? bsdf_diffuse_eval(&at->bsdf, at->wo.z, wi_z, &pdf)
                 : bsdf_eval(&at->bsdf, at->wo, frame_to_local(&at->frame, light->wi), &pdf);
-    event->arriving =
-        rgb_scale(arriving_from(scene, at, points, light, wi_z, f, pdf), 1.0 / points);
-    event->f = rgb_scale(f, shade_tilt_shadowing(at, light->wi, wi_z));
-    event->pdf = pdf;
+    view->arriving = rgb_scale(arriving_from(scene, at, points, light, wi_z, f, pdf), 1.0 / points);
+    view->f = rgb_scale(f, shade_tilt_shadowing(at, light->wi, wi_z));
+    view->pdf = pdf;
     return !rgb_is_black(f);
 }
 
@@ -57,9 +55,13 @@ bool next_event_weigh(const struct render_scene *scene, const struct shade *at, 
 static bool draw_one(const struct render_scene *scene, const struct shade *at, double choose,
                      const double u[2], struct next_event *out)
 {
-    return light_sample(&scene->lights, at->surface.p, next_event_side(at), choose, u[0], u[1],
-                        &out->light) &&
-           next_event_weigh(scene, at, 1, out);
+    struct next_event_view view;
+    if (!light_sample(&scene->lights, at->surface.p, next_event_side(at), choose, u[0], u[1],
+                      &out->light) ||
+        !next_event_weigh(scene, at, 1, &out->light, &view))
+        return false;
+    out->arriving = view.arriving;
+    return true;
 }
 
 /* What the candidates in `there`, of `count`, send back along the path; black: nothing. */

@@ -23,8 +23,6 @@ struct next_event {
     struct light_sample light;
     rgb arriving; /* what it sends back along the path when nothing is in the way, over its density
                    */
-    rgb f;        /* of next_event_weigh: what the surface scatters from there, */
-    double pdf;   /* and the density with which it draws the direction */
 };
 
 /* How many candidates a surface of this material draws. */
@@ -37,10 +35,16 @@ vec3 next_event_side(const struct shade *at);
  * one of its own; `first`: of its path. */
 uint32_t next_event_points(const struct render_scene *scene, bool first);
 
-/* Fills in what event->light, the only candidate of a vertex for one of `points` shadow rays, sends
- * back along the path; false if nothing. */
+/* A light sample as a vertex sees it. */
+struct next_event_view {
+    rgb arriving; /* as of next_event */
+    rgb f;        /* what the surface scatters from there, times its cosine */
+    double pdf;   /* with which the surface draws that direction */
+};
+
+/* The only candidate of a vertex, for one of `points` shadow rays; false if nothing arrives. */
 bool next_event_weigh(const struct render_scene *scene, const struct shade *at, uint32_t points,
-                      struct next_event *event);
+                      const struct light_sample *light, struct next_event_view *view);
 
 /* Draws `count` candidates and keeps one. `choose` picks their lights, u and v their points, `keep`
  * which is kept; all uniform in [0,1), `keep` looked at only if there are several. False when
@@ -60,13 +64,19 @@ static inline double next_event_weight(double a, double b)
     return r * r / (1 + r * r);
 }
 
-/* The same for light of the sky, by the balance heuristic: a sky that is a picture is drawn so that
- * this weight gives both techniques together the density of what a diffuse surface reflects
- * (worker/scene/scene_sky.c). */
-static inline double next_event_sky_weight(double a, double b)
+/* The same by the balance heuristic. */
+static inline double next_event_balance(double a, double b)
 {
     double r = a > b ? b / a : a / b;
     return (a > b ? 1 : r) / (1 + r);
+}
+
+/* The weight for light of the sky: a sky that is a picture is drawn so that the balance heuristic
+ * gives both techniques together the density of what a diffuse surface reflects
+ * (worker/scene/scene_sky.c). */
+static inline double next_event_sky_weight(double a, double b)
+{
+    return next_event_balance(a, b);
 }
 
 #endif

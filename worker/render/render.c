@@ -7,6 +7,7 @@
 #include "worker/render/first_hit.h"
 #include "worker/render/accel_lazy.h"
 #include "worker/render/next_event.h"
+#include "worker/render/outline.h"
 #include "worker/render/wave.h"
 
 /* Round to nearest, exceptions masked, no flush to zero. */
@@ -14,6 +15,9 @@ enum { MXCSR_DEFAULT = 0x1f80 };
 
 /* Keeps the numbers of the camera apart from those of the group at the same corner. */
 static const uint64_t CAMERA_SEED = UINT64_C(0x5851f42d4c957f2d);
+
+/* And those of twigs apart from both. */
+static const uint64_t TWIG_SEED = UINT64_C(0x14057b7ef767814f);
 
 enum err render_scratch_new(struct render_scratch **out)
 {
@@ -46,7 +50,9 @@ struct cursor {
     uint64_t rect_begin; /* pixels of the unit before this cell */
     uint32_t x, y;       /* the group's corner */
     uint64_t sample;     /* in the block */
-    bool skims;          /* one sample of each group is enough: the result does not count */
+    bool probed;         /* outlines is known: outline_pixels() of the group */
+    uint32_t outlines;
+    bool skims; /* one sample of each group is enough: the result does not count */
 };
 
 /* Goes to the first group that meets the cell. */
@@ -76,6 +82,7 @@ static void cursor_next(struct cursor *c)
     if (++c->sample < c->block.count && !c->skims)
         return;
     c->sample = 0;
+    c->probed = false;
     c->x += c->side;
     if (c->x < c->rect.x + c->rect.width)
         return;
@@ -132,6 +139,24 @@ static struct sampler group_sampler(const struct render_scene *scene, const stru
                       group_index(scene, c, lane));
 }
 
+/* What paths have alike when they start. */
+static void init_path(struct render_scratch *w, uint32_t index, uint32_t x, uint32_t y)
+{
+    struct path *path = &w->paths[index];
+    w->samplers[index] = path->own;
+    path->x = x;
+    path->y = y;
+    path->radiance = path->twigs = rgb_grey(0);
+    path->beta = rgb_grey(1);
+    path->n = v3(0, 0, 0);
+    path->eta2 = path->carried = path->share = 1;
+    path->pdf = 0;
+    path->candidates = 1;
+    path->through.points = 0;
+    path->asked = 0;
+    path->twig = false;
+}
+
 /* Makes the sample of a pixel of the group at the cursor a path, as yet without a ray. */
 static void start_path(const struct render_scene *scene, const struct cursor *c, uint32_t x,
                        uint32_t y, struct render_scratch *w)
@@ -141,25 +166,34 @@ static void start_path(const struct render_scene *scene, const struct cursor *c,
     struct path *path = &w->paths[index];
     path->own = sampler_of(spec->sampler, spec->seed ^ CAMERA_SEED, x, y, sequence_of(c),
                            c->block.begin + c->sample);
-    w->samplers[index] = path->own;
     path->sampler = group_sampler(scene, c, x, y);
-    path->x = x;
-    path->y = y;
-    path->radiance = rgb_grey(0);
-    path->beta = rgb_grey(1);
-    path->n = v3(0, 0, 0);
-    path->eta2 = path->carried = 1;
-    path->pdf = 0;
-    path->candidates = 1;
-    path->through.points = 0;
-    path->asked = 0;
+    init_path(w, index, x, y);
     w->reuse[index].state = REUSE_NONE;
 }
 
-/* Draws the film point of path `index` from two numbers, and sets its camera ray.
- */
-static void aim_path(const struct render_scene *scene, struct render_scratch *w, uint32_t index,
-                     double u_x, double u_y)
+/* Adds the twigs of the last path, a sequence over the samples of its pixel. */
+static void start_twigs(const struct render_scene *scene, const struct cursor *c,
+                        struct render_scratch *w)
+{
+    const struct job_spec *spec = &scene->spec;
+    uint32_t owner = w->path_count - 1, x = w->paths[owner].x, y = w->paths[owner].y;
+    w->paths[owner].share = 1.0 / (OUTLINE_TWIGS + 1);
+    for (uint32_t k = 0; k < OUTLINE_TWIGS; k++) {
+        uint32_t index = --w->twig_begin;
+        struct path *path = &w->paths[index];
+        path->own = sampler_of(spec->sampler, spec->seed ^ TWIG_SEED, x, y, sequence_of(c),
+                               (c->block.begin + c->sample) * OUTLINE_TWIGS + k);
+        path->sampler = path->own;
+        init_path(w, index, x, y);
+        path->twig = true;
+        path->owner = owner;
+        path->share = 1.0 / (OUTLINE_TWIGS + 1);
+        w->reuse[index].state = REUSE_ALONE;
+    }
+}
+/* Draws the film point of path `index` from two numbers, and sets its camera ray, number `slot`. */
+static void aim_path(const struct render_scene *scene, struct render_scratch *w, uint32_t slot,
+                     uint32_t index, double u_x, double u_y)
 {
     struct path *path = &w->paths[index];
     double u[SAMPLER_SET_VALUES] = {0}, weight_x, weight_y;
@@ -173,42 +207,64 @@ static void aim_path(const struct render_scene *scene, struct render_scratch *w,
     if (scene->has_filtered)
         camera_footprint(&scene->camera, film_x, film_y, u, scene->footprint_step,
                          &w->footprints[index]);
-    wave_continue(w, index, index, path->org, dir);
+    wave_continue(w, slot, index, path->org, dir);
 }
 
-/* Gives the paths of the wave their camera rays. */
-static void aim_paths(const struct render_scene *scene, struct render_scratch *w)
+/* Gives paths begin..end their camera rays, from number `slot` on. `lights`: one point on a light
+ * is drawn at vertex 0, whose numbers are the first two, which are spread best. */
+static void aim_paths(const struct render_scene *scene, struct render_scratch *w, uint32_t slot,
+                      uint32_t begin, uint32_t end, bool lights)
 {
     double(*u)[WAVE_PATHS] = w->vertex_u;
-    double *const values[SAMPLER_SET_VALUES] = {u[0], u[1], u[2], u[3]};
-    /* Where one point on a light is drawn, the first two numbers, which are spread best, are its.
-     */
-    bool lights = (scene->spec.integrator == JOB_INTEGRATOR_PATH ||
-                   scene->spec.integrator == JOB_INTEGRATOR_DIRECT) &&
-                  next_event_points(scene, true) == 1;
-    sampler_sets(w->samplers, w->path_count, WAVE_SET_CAMERA, lights ? 4 : 2, values);
+    double *const values[SAMPLER_SET_VALUES] = {u[0] + begin, u[1] + begin, u[2] + begin,
+                                                u[3] + begin};
+    sampler_sets(w->samplers + begin, end - begin, WAVE_SET_CAMERA, lights ? 4 : 2, values);
     int film = lights ? 2 : 0;
-    for (uint32_t i = 0; i < w->path_count; i++) {
+    for (uint32_t i = begin; i < end; i++) {
         w->paths[i].light_u[0] = u[0][i];
         w->paths[i].light_u[1] = u[1][i];
-        aim_path(scene, w, i, u[film][i], u[film + 1][i]);
+        aim_path(scene, w, slot + (i - begin), i, u[film][i], u[film + 1][i]);
     }
+}
+
+/* True if vertices of the job's paths look for lights. */
+static bool looks_for_lights(const struct render_scene *scene)
+{
+    return scene->spec.integrator == JOB_INTEGRATOR_PATH ||
+           scene->spec.integrator == JOB_INTEGRATOR_DIRECT;
+}
+
+/* Adds the group at the cursor; false if there is no room. */
+static bool add_paths(const struct render_scene *scene, struct cursor *c, struct render_scratch *w)
+{
+    struct grid_rect g = cursor_group(c);
+    if (!c->probed && scene->lights.any_lamp && looks_for_lights(scene))
+        c->outlines = outline_pixels(scene, w, g);
+    c->probed = true;
+    uint32_t twigs = OUTLINE_TWIGS * (uint32_t)__builtin_popcount(c->outlines);
+    if (w->path_count + g.width * g.height + twigs > w->twig_begin)
+        return false;
+    w->groups[w->group_count++] = w->path_count;
+    for (uint32_t i = 0; i < g.width * g.height; i++) {
+        start_path(scene, c, g.x + i % g.width, g.y + i / g.width, w);
+        if (c->outlines >> i & 1)
+            start_twigs(scene, c, w);
+    }
+    cursor_next(c);
+    return true;
 }
 
 static void fill_wave(const struct render_scene *scene, struct cursor *c, struct render_scratch *w)
 {
     w->path_count = w->group_count = w->shadow_count = 0;
-    while (c->cell < c->cell_end && w->path_count + c->side * c->side <= WAVE_PATHS) {
-        struct grid_rect g = cursor_group(c);
-        w->groups[w->group_count++] = w->path_count;
-        for (uint32_t y = 0; y < g.height; y++)
-            for (uint32_t x = 0; x < g.width; x++)
-                start_path(scene, c, g.x + x, g.y + y, w);
-        cursor_next(c);
-    }
-    aim_paths(scene, w);
+    w->twig_begin = WAVE_PATHS;
+    while (c->cell < c->cell_end && add_paths(scene, c, w))
+        ;
     w->groups[w->group_count] = w->path_count;
-    w->active_count = w->path_count;
+    bool lights = looks_for_lights(scene);
+    aim_paths(scene, w, 0, 0, w->path_count, lights && next_event_points(scene, true) == 1);
+    aim_paths(scene, w, w->path_count, w->twig_begin, WAVE_PATHS, lights);
+    w->active_count = w->path_count + (WAVE_PATHS - w->twig_begin);
 }
 
 static void integrate(const struct render_scene *scene, struct render_scratch *w)
@@ -292,7 +348,7 @@ static void add_group(const struct render_scene *scene, const struct render_scra
     const struct path *paths = w->paths + begin;
     bool last = sums->at.sample + 1 == sums->at.block.count;
     for (uint32_t i = 0; i < count; i++) {
-        rgb value = rgb_scale(paths[i].radiance, paths[i].filter_weight);
+        rgb value = rgb_add(rgb_scale(paths[i].radiance, paths[i].filter_weight), paths[i].twigs);
         if (fits_film(value, sums->at.block.count))
             sums->pixels[i] = rgb_add(sums->pixels[i], value);
         else

@@ -43,23 +43,25 @@ double through_weight(const struct render_scene *scene, const struct through *t,
     if (t->points == 0 || t->count == 0 || light == SCENE_NONE)
         return 1;
     double pdf = light_pdf_towards(&scene->lights, light, t->org, t->n, t->wi, t->first / IN_FRONT);
-    return next_event_sky_weight(t->density, t->points * pdf);
+    return next_event_balance(t->density, t->points * pdf);
 }
 
 void through_note(const struct render_scene *scene, struct render_scratch *w, uint32_t depth,
-                  uint32_t points, const struct next_event *event)
+                  uint32_t points, const struct light_sample *light,
+                  const struct next_event_view *view)
 {
     /* Through a surface and to the light: two edges more. */
-    if (!through_wanted(scene) || event->light.delta || depth + 2 > scene->spec.max_depth)
+    if (light->delta || depth + 2 > scene->spec.max_depth)
         return;
     uint32_t shadow = w->shadow_count - 1;
-    rgb beta = w->paths[w->shadow_path[shadow]].beta;
-    w->looks[shadow] = (struct through_look){.light = event->light.light,
+    const struct path *path = &w->paths[w->shadow_path[shadow]];
+    rgb beta = rgb_scale(path->beta, path->share);
+    w->looks[shadow] = (struct through_look){.light = light->light,
                                              .depth = depth,
-                                             .dir = event->light.wi,
-                                             .value = rgb_mul(beta, event->f),
-                                             .density = event->pdf,
-                                             .light_rate = points * event->light.pdf};
+                                             .dir = light->wi,
+                                             .value = rgb_mul(beta, view->f),
+                                             .density = view->pdf,
+                                             .light_rate = points * light->pdf};
 }
 
 /* Adds what the light of shadow ray i brings through the glass. */

@@ -58,7 +58,8 @@ uint32_t through_light(const struct render_scene *scene, const struct surface *s
 /* The last shadow ray of the wave, to a light drawn at a vertex at that depth for one of `points`,
  * may look through glass. */
 void through_note(const struct render_scene *scene, struct render_scratch *w, uint32_t depth,
-                  uint32_t points, const struct next_event *event);
+                  uint32_t points, const struct light_sample *light,
+                  const struct next_event_view *view);
 
 /* After it is known which shadow rays are blocked: adds what arrives through glass. */
 void through_gather(const struct render_scene *scene, struct render_scratch *w);

@@ -37,14 +37,19 @@ struct path {
     double light_u[2];      /* where on a light the next vertex looks */
     uint32_t asked;         /* surfaces met that are not quite opaque */
     struct through through; /* from the last vertex with a density */
-    uint32_t x, y;          /* pixel of the full picture */
+    bool twig;              /* of another path (outline.h) */
+    uint32_t owner;         /* that, of a twig */
+    double share;  /* of the light found next that is this path's: less than 1 beside twigs */
+    rgb twigs;     /* what its twigs have found, times their filter weights */
+    uint32_t x, y; /* pixel of the full picture */
 };
 
 struct render_scratch {
     struct path paths[WAVE_PATHS];
     struct reuse reuse[WAVE_PATHS];          /* of the path of the same number */
     struct footprint footprints[WAVE_PATHS]; /* and its ray's; only where scene->has_filtered */
-    uint32_t path_count;
+    uint32_t path_count; /* twigs apart, which are the last of paths, from twig_begin on */
+    uint32_t twig_begin;
     uint32_t groups[WAVE_PATHS + 1]; /* the first path of each group, then path_count */
     uint32_t group_count;
 

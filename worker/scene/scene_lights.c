@@ -362,6 +362,7 @@ enum err scene_build_lights(struct render_scene *rs, const struct scene *scene)
             TL_TRY(add_mesh_lights(rs, o, light_of));
         }
     }
+    t->any_lamp = t->count > 0;
     t->any_hittable = t->count > 0 || t->environment.present;
     for (size_t i = 0; i < scene->light_count; i++)
         t->lights[t->count++] = punctual_light(rs, &scene->lights[i]);
