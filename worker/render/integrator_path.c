@@ -74,7 +74,7 @@ static void add_environments(const struct render_scene *scene, struct render_scr
         if (path->pdf == 0)
             weight = through_weight(scene, &path->through, scene->lights.environment_light);
         else if (!is_found_alone(scene, path, pdf[k], &weight))
-            weight = next_event_sky_weight(path->pdf, path->candidates * pdf[k]);
+            weight = next_event_sky_weight(path->last, path->pdf, path->candidates * pdf[k]);
         weight *= path->share;
         path->radiance = rgb_add(path->radiance, rgb_scale(rgb_mul(path->beta, sky[k]), weight));
     }
@@ -297,6 +297,7 @@ static bool scatter(const struct render_scene *scene, struct path *path, const s
     path->beta = rgb_mul(path->beta, rgb_scale(sample->weight, left));
     path->eta2 *= sample->eta2;
     path->pdf = delta ? 0 : sample->pdf;
+    path->last = at->bsdf.material;
     path->org = at->surface.p;
     path->n = next_event_side(at);
     path->candidates = next_event_count(scene, at->bsdf.material);

@@ -31,7 +31,7 @@ static rgb arriving_from(const struct render_scene *scene, const struct shade *a
 {
     double weight = shade_tilt_shadowing(at, light->wi, wi_z) / light->pdf;
     if (!light->delta && scene->spec.profile == JOB_PROFILE_MIS)
-        weight *= light->distant ? next_event_sky_weight(count * light->pdf, pdf)
+        weight *= light->distant ? next_event_sky_weight(at->bsdf.material, count * light->pdf, pdf)
                                  : next_event_weight(count * light->pdf, pdf);
     return rgb_scale(rgb_mul(f, light->radiance), weight);
 }

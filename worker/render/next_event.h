@@ -71,12 +71,21 @@ static inline double next_event_balance(double a, double b)
     return (a > b ? 1 : r) / (1 + r);
 }
 
+/* True if the surface draws the sky better by itself than the sky's points are. */
+static inline bool next_event_is_sharp(const struct material *m)
+{
+    const double sharp = 0.15;
+    return (m->type == SCENE_MATERIAL_ROUGH_CONDUCTOR ||
+            m->type == SCENE_MATERIAL_ROUGH_DIELECTRIC) &&
+           m->alpha_x < sharp && m->alpha_y < sharp;
+}
+
 /* The weight for light of the sky: a sky that is a picture is drawn so that the balance heuristic
  * gives both techniques together the density of what a diffuse surface reflects
  * (worker/scene/scene_sky.c). */
-static inline double next_event_sky_weight(double a, double b)
+static inline double next_event_sky_weight(const struct material *m, double a, double b)
 {
-    return next_event_balance(a, b);
+    return next_event_is_sharp(m) ? next_event_weight(a, b) : next_event_balance(a, b);
 }
 
 #endif

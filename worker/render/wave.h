@@ -33,12 +33,13 @@ struct path {
     double carried; /* what beta is multiplied by in roulette: throughput set aside by reuse */
     double pdf;     /* with which the last direction was drawn; 0: by a delta lobe, or camera */
     vec3 org, n;    /* where the last direction left from, and light_sample's n there */
-    uint32_t candidates;    /* samples of lights that were drawn there */
-    double light_u[2];      /* where on a light the next vertex looks */
-    uint32_t asked;         /* surfaces met that are not quite opaque */
-    struct through through; /* from the last vertex with a density */
-    bool twig;              /* of another path (outline.h) */
-    uint32_t owner;         /* that, of a twig */
+    const struct material *last; /* of the surface there, once pdf is not 0 */
+    uint32_t candidates;         /* samples of lights that were drawn there */
+    double light_u[2];           /* where on a light the next vertex looks */
+    uint32_t asked;              /* surfaces met that are not quite opaque */
+    struct through through;      /* from the last vertex with a density */
+    bool twig;                   /* of another path (outline.h) */
+    uint32_t owner;              /* that, of a twig */
     double share;  /* of the light found next that is this path's: less than 1 beside twigs */
     rgb twigs;     /* what its twigs have found, times their filter weights */
     uint32_t x, y; /* pixel of the full picture */
