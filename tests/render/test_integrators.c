@@ -9,7 +9,9 @@
 #include <math.h>
 #include <string.h>
 
+#include "common/mem.h"
 #include "tests/render/render_kit.h"
+#include "worker/render/vec.h"
 
 static const double pi = 3.14159265358979323846;
 
@@ -92,6 +94,33 @@ static void ao_beside_a_wall(void **state)
     }
 }
 
+/* Directions above the shading normal's horizon but below the surface were counted as open. Of
+ * those about a normal that leans by a the cosine-weighted part (1 + cos a) / 2 is above the
+ * surface. */
+static void ao_above_the_surface(void **state)
+{
+    (void)state;
+    const double lean = VEC_PI / 3;
+    struct scene s;
+    scene_init(&s);
+    add_floor(&s, 0.3);
+    struct scene_mesh *m = &s.meshes[s.mesh_count - 1];
+    m->normals = mem_alloc_array((size_t)3 * m->vertex_count, sizeof *m->normals);
+    assert_non_null(m->normals);
+    for (uint32_t i = 0; i < m->vertex_count; i++) {
+        m->normals[3 * i] = (float)sin(lean);
+        m->normals[3 * i + 1] = (float)cos(lean);
+        m->normals[3 * i + 2] = 0;
+    }
+    look_down(&s, 0, 1e-6);
+    struct job_spec spec = spec_of(JOB_INTEGRATOR_AO, 256);
+    struct kit_picture p = kit_render(&s, &spec, 0);
+    double open = (1 + cos(lean)) / 2, n = SIDE * SIDE * 256.0;
+    assert_true(fabs(kit_picture_mean(&p) - open) < 5 * sqrt(open * (1 - open) / n));
+    kit_picture_free(&p);
+    scene_release(&s);
+}
+
 /* A point light over a plane: albedo / pi * I cos / r^2. */
 static void direct_of_a_point(void **state)
 {
@@ -162,8 +191,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(ao_of_open_and_closed), cmocka_unit_test(ao_beside_a_wall),
-        cmocka_unit_test(direct_of_a_point),     cmocka_unit_test(direct_adds_no_bounce),
-        cmocka_unit_test(direct_of_an_area),
+        cmocka_unit_test(ao_above_the_surface),  cmocka_unit_test(direct_of_a_point),
+        cmocka_unit_test(direct_adds_no_bounce), cmocka_unit_test(direct_of_an_area),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -452,6 +452,8 @@ void integrate_ao(const struct render_scene *scene, struct render_scratch *w)
         vec3 local = warp_cosine_hemisphere(u[0], u[1]);
         local.z = at.wo.z < 0 ? -local.z : local.z;
         vec3 wi = frame_to_world(&at.frame, local);
+        if (!shade_is_consistent(&at, wi, local.z))
+            continue;
         vec3 org = surface_offset(at.surface.p, at.surface.ng, at.surface.error, wi);
         wave_shadow(w, index, org, org, true, wi, rgb_grey(1));
     }
