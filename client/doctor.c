@@ -411,6 +411,8 @@ enum err doctor_warn_precision(const struct scene *s, struct diag_list *problems
 {
     for (size_t i = 0; i < s->mesh_count; i++) {
         struct doctor_mesh m;
+        if (!doctor_mesh_may_be_coarse(&s->meshes[i]))
+            continue;
         TL_TRY(doctor_mesh_measure(&s->meshes[i], &m));
         if (doctor_mesh_is_coarse(&m))
             diag_add(problems, DIAG_WARNING, (struct diag_place){.file = s->meshes[i].name},

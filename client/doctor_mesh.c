@@ -55,10 +55,12 @@ static void measure_bounds(const struct scene_mesh *m, struct doctor_mesh *out)
         out->low[k] = DBL_MAX;
         out->high[k] = -DBL_MAX;
     }
-    for (size_t i = 0; i < 3 * (size_t)m->vertex_count; i++) {
-        double v = m->positions[i];
-        out->low[i % 3] = v < out->low[i % 3] ? v : out->low[i % 3];
-        out->high[i % 3] = v > out->high[i % 3] ? v : out->high[i % 3];
+    for (size_t i = 0; i < m->vertex_count; i++) {
+        const double *p = m->positions + 3 * i;
+        for (int k = 0; k < 3; k++) {
+            out->low[k] = p[k] < out->low[k] ? p[k] : out->low[k];
+            out->high[k] = p[k] > out->high[k] ? p[k] : out->high[k];
+        }
     }
 }
 
@@ -345,11 +347,29 @@ enum err doctor_mesh_examine(const struct scene_mesh *mesh, struct doctor_mesh *
     return e;
 }
 
-bool doctor_mesh_is_coarse(const struct doctor_mesh *m)
+/* In half extents, from the origin: nearer, no mesh has lost detail to its place. */
+static const double far_halves = 16;
+
+static double half_extent(const struct doctor_mesh *m)
 {
-    const double far = 16 /* half extents */, edge_steps = 1e4;
     double half = 0;
     for (int k = 0; k < 3; k++)
         half = fmax(half, 0.5 * (m->high[k] - m->low[k]));
-    return m->reach > far * half && m->edge_median < edge_steps * m->step;
+    return half;
+}
+
+bool doctor_mesh_may_be_coarse(const struct scene_mesh *mesh)
+{
+    struct doctor_mesh m;
+    double reach = 0;
+    measure_bounds(mesh, &m);
+    for (int k = 0; k < 3; k++)
+        reach = fmax(reach, fmax(fabs(m.low[k]), fabs(m.high[k])));
+    return reach > far_halves * half_extent(&m);
+}
+
+bool doctor_mesh_is_coarse(const struct doctor_mesh *m)
+{
+    const double edge_steps = 1e4;
+    return m->reach > far_halves * half_extent(m) && m->edge_median < edge_steps * m->step;
 }

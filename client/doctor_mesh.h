@@ -49,4 +49,7 @@ TL_NODISCARD enum err doctor_mesh_measure(const struct scene_mesh *mesh, struct 
  * its edges: the file has lost detail. Looks at low, high, reach, step and edge_median. */
 bool doctor_mesh_is_coarse(const struct doctor_mesh *m);
 
+/* False: its place alone says that it is not coarse, without a look at its triangles. */
+bool doctor_mesh_may_be_coarse(const struct scene_mesh *mesh);
+
 #endif
