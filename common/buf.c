@@ -25,6 +25,26 @@ void buf_clear(struct buf *b)
     b->failed = false;
 }
 
+static void set_capacity(struct buf *b, size_t capacity)
+{
+    unsigned char *data = mem_realloc_array(b->data, capacity, 1);
+    b->failed |= data == NULL;
+    if (!data)
+        return;
+    b->data = data;
+    b->capacity = capacity;
+}
+
+void buf_reserve(struct buf *b, size_t bytes)
+{
+    if (b->failed || bytes <= b->capacity - b->bytes)
+        return;
+    if (bytes > SIZE_MAX - b->bytes)
+        b->failed = true;
+    else
+        set_capacity(b, b->bytes + bytes);
+}
+
 unsigned char *buf_extend(struct buf *b, size_t bytes)
 {
     if (b->failed)
@@ -38,15 +58,9 @@ unsigned char *buf_extend(struct buf *b, size_t bytes)
             }
             capacity *= 2;
         }
-        unsigned char *data = mem_realloc_array(b->data, capacity, 1);
-        if (!data) {
-            b->failed = true;
-            return NULL;
-        }
-        b->data = data;
-        b->capacity = capacity;
+        set_capacity(b, capacity);
     }
-    if (!b->data)
+    if (b->failed || !b->data)
         return NULL; /* nothing was asked of an empty one */
     unsigned char *at = b->data + b->bytes;
     b->bytes += bytes;

@@ -22,6 +22,9 @@ void buf_clear(struct buf *b);
 /* Room for `bytes` more at the end, now part of the contents; NULL on failure. */
 unsigned char *buf_extend(struct buf *b, size_t bytes);
 
+/* Memory for `bytes` more, so that adding them copies nothing; the contents stay. */
+void buf_reserve(struct buf *b, size_t bytes);
+
 void buf_put(struct buf *b, const void *data, size_t bytes);
 void buf_put_u8(struct buf *b, uint8_t v);
 void buf_put_u32(struct buf *b, uint32_t v);

@@ -41,21 +41,15 @@ static void put_words(struct buf *out, const void *rows, size_t count, size_t co
 }
 
 /* Most files hold floats: then four bytes a coordinate lose nothing. */
-static enum err put_positions(struct buf *out, const struct scene_mesh *m, bool f32)
+static void put_positions(struct buf *out, const struct scene_mesh *m, bool f32)
 {
-    size_t count = (size_t)m->vertex_count * 3;
     if (!f32) {
         put_words(out, m->positions, m->vertex_count, 3, sizeof(double));
-        return ERR_OK;
+        return;
     }
-    float *narrow = mem_alloc_array(count, sizeof *narrow);
-    if (!narrow)
-        return ERR_NOMEM;
-    for (size_t i = 0; i < count; i++)
-        narrow[i] = (float)m->positions[i];
-    put_words(out, narrow, m->vertex_count, 3, sizeof(float));
-    mem_free(narrow);
-    return ERR_OK;
+    unsigned char *at = buf_extend(out, (size_t)m->vertex_count * 3 * sizeof(float));
+    if (at)
+        filter_floats_put(m->positions, m->vertex_count, 3, at);
 }
 
 enum err package_mesh_put(const struct scene_mesh *m, bool f32, struct buf *out)
@@ -65,11 +59,16 @@ enum err package_mesh_put(const struct scene_mesh *m, bool f32, struct buf *out)
     uint32_t flags = (m->normals ? MESH_HAS_NORMALS : 0u) | (m->uvs ? MESH_HAS_UVS : 0u) |
                      (f32 ? MESH_POSITIONS_F32 : 0u) | (m->colors ? MESH_HAS_COLORS : 0u) |
                      (m->alphas ? MESH_HAS_ALPHAS : 0u);
+    size_t vertex = 3 * (f32 ? sizeof(float) : sizeof(double)) +
+                    (m->normals ? 3 * sizeof(float) : 0) + (m->uvs ? 2 * sizeof(float) : 0) +
+                    (m->colors ? 3 * sizeof(float) : 0) + (m->alphas ? sizeof(float) : 0);
+    buf_reserve(out, HEAD_BYTES + 3 * sizeof(uint32_t) + m->vertex_count * vertex +
+                         corners * sizeof(uint32_t));
     codec_magic(&c, mesh_magic);
     buf_put_u32(out, m->vertex_count);
     buf_put_u32(out, m->triangle_count);
     buf_put_u32(out, flags);
-    TL_TRY(put_positions(out, m, f32));
+    put_positions(out, m, f32);
     if (m->normals)
         put_words(out, m->normals, m->vertex_count, 3, sizeof(float));
     if (m->uvs)

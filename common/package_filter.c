@@ -145,6 +145,25 @@ void filter_words_get(const unsigned char *in, size_t count, size_t columns, siz
     }
 }
 
+void filter_floats_put(const double *rows, size_t count, size_t columns, unsigned char *out)
+{
+    for (size_t c = 0; c < columns; c++, out += count * sizeof(float)) {
+        uint32_t block[BLOCK], before = 0;
+        const double *at = rows + c;
+        for (size_t first = 0; first < count; first += BLOCK) {
+            size_t some = block_from(first, count);
+            for (size_t i = 0; i < some; i++, at += columns) {
+                float f = (float)*at;
+                uint32_t word;
+                memcpy(&word, &f, sizeof word);
+                block[i] = fold32(word - before);
+                before = word;
+            }
+            split_u32(block, first, some, count, out);
+        }
+    }
+}
+
 void filter_floats_get(const unsigned char *in, size_t count, size_t columns, double *rows)
 {
     for (size_t c = 0; c < columns; c++, in += count * sizeof(float)) {

@@ -18,7 +18,8 @@ void filter_words_put(const void *rows, size_t count, size_t columns, size_t wor
 void filter_words_get(const unsigned char *in, size_t count, size_t columns, size_t word_bytes,
                       void *rows);
 
-/* Words of 4 bytes, from float rows to rows of doubles. */
+/* Words of 4 bytes: rows of doubles that are all floats to float rows, and back. */
+void filter_floats_put(const double *rows, size_t count, size_t columns, unsigned char *out);
 void filter_floats_get(const unsigned char *in, size_t count, size_t columns, double *rows);
 
 void filter_indices_put(const uint32_t *indices, size_t count, unsigned char *out);

@@ -27,23 +27,31 @@ void package_trim_mesh_release(struct trimmed_mesh *t)
     *t = (struct trimmed_mesh){0};
 }
 
+/* True if triangles take up the vertices in order and none is left: nothing to renumber. */
+static bool in_order(const struct scene_mesh *m)
+{
+    uint32_t next = 0;
+    for (size_t i = 0; i < (size_t)m->triangle_count * 3; i++) {
+        if (m->indices[i] > next)
+            return false;
+        next += m->indices[i] == next;
+    }
+    return next == m->vertex_count;
+}
+
 /* New numbers in the order of first use, by which indices are told shortly; SCENE_NONE for those
- * that no triangle has. `same`: every vertex keeps its number. */
-static uint32_t *number_vertices(const struct scene_mesh *m, uint32_t *used, bool *same)
+ * that no triangle has. */
+static uint32_t *number_vertices(const struct scene_mesh *m, uint32_t *used)
 {
     uint32_t *map = mem_alloc_array(m->vertex_count, sizeof *map), next = 0;
     if (!map)
         return NULL;
     memset(map, 0xff, (size_t)m->vertex_count * sizeof *map);
-    *same = true;
     for (size_t i = 0; i < (size_t)m->triangle_count * 3; i++) {
         uint32_t vertex = m->indices[i];
-        if (map[vertex] != SCENE_NONE)
-            continue;
-        *same = *same && vertex == next;
-        map[vertex] = next++;
+        if (map[vertex] == SCENE_NONE)
+            map[vertex] = next++;
     }
-    *same = *same && next == m->vertex_count;
     *used = next;
     return map;
 }
@@ -87,11 +95,14 @@ static enum err renumber(struct trimmed_mesh *t, const uint32_t *map, uint32_t u
 enum err package_trim_mesh(const struct scene_mesh *m, const struct scene_plan_mesh *plan,
                            struct package_left *left, struct trimmed_mesh *out)
 {
-    bool same;
-    uint32_t used = 0, *map = number_vertices(m, &used, &same);
+    bool same = in_order(m);
+    uint32_t used = m->vertex_count, *map = NULL;
     *out = (struct trimmed_mesh){.mesh = *m};
-    if (!map)
-        return ERR_NOMEM;
+    if (!same) {
+        map = number_vertices(m, &used);
+        if (!map)
+            return ERR_NOMEM;
+    }
     if (!plan->uvs && m->uvs) {
         out->mesh.uvs = NULL;
         leave(left, PACKAGE_LEFT_UVS, m->vertex_count, m->vertex_count * UINT64_C(8));
