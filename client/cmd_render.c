@@ -9,6 +9,7 @@
 #include <pthread.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "client/cli_help.h"
@@ -40,6 +41,7 @@ struct render {
     int loaded_fds[2]; /* a byte when the scene is there */
     struct progress progress;
     double start_s;
+    struct cmd_start start;
     char job[FARM_ID_BYTES];
     int status; /* set by a hook that stops the wait */
 };
@@ -145,6 +147,13 @@ static int start_loader(struct render *r)
     return failed ? EXIT_MACHINE : EXIT_DONE;
 }
 
+static double unix_now_s(void)
+{
+    struct timespec now;
+    (void)clock_gettime(CLOCK_REALTIME, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
 static int farm_failed(struct render *r)
 {
     cli_error("farm-failed", NULL, "the private farm failed: %s", r->farm.failure);
@@ -198,6 +207,10 @@ static int wait_ready(struct render *r)
 static int submit(struct render *r)
 {
     char url[80];
+    double begun = follow_now_s();
+    r->start.ready = begun - r->start_s;
+    r->start.read = r->load.read_s;
+    r->start.pack = r->load.pack_s;
     (void)snprintf(url, sizeof url, "http://%s", r->farm.http);
     int status = farm_open_private(&r->api, url, r->farm.token, &signals_interrupts);
     if (status != EXIT_DONE)
@@ -207,6 +220,7 @@ static int submit(struct render *r)
                                        .spec_json = r->load.spec_json,
                                        .plan_json = r->load.plan_json};
     status = farm_submit(&r->api, &request, r->job);
+    r->start.send = follow_now_s() - begun;
     load_drop_package(&r->load);
     return status;
 }
@@ -345,7 +359,7 @@ static int run(struct render *r)
         status = fetch(r);
     if (status == EXIT_DONE)
         status = cmd_wait_report(&r->api, r->cli, r->job, cli_text(&r->cli->line, CLI_OUTPUT),
-                                 r->start_s, done);
+                                 r->start_s, &r->start, done);
     /* A call that was interrupted fails in its own way; what matters is that we were. */
     return signals_interrupts > 0 ? EXIT_INTERRUPTED : status;
 }
@@ -353,6 +367,7 @@ static int run(struct render *r)
 int command_render(struct cli *cli)
 {
     struct render r = {.cli = cli, .loaded_fds = {-1, -1}, .start_s = follow_now_s()};
+    r.start.begun_at = unix_now_s();
     int status = check_line(&cli->line);
     if (status != EXIT_DONE)
         return status;

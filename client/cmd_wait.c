@@ -90,8 +90,28 @@ static int failed_status(const struct farm *farm, const struct json *report)
     return farm->is_private && strstr(cause, err_text(ERR_NOMEM)) ? EXIT_MACHINE : EXIT_FAILED;
 }
 
+/* As the report's last member. */
+static enum err add_start(struct farm *farm, const struct json *report,
+                          const struct cmd_start *start)
+{
+    struct buf *body = &farm->reply.body;
+    const struct json *seconds = json_get_member(report, "seconds");
+    double begun = reply_number(report, "started", 0);
+    double first = seconds ? reply_number(seconds, "first_result", 0) : 0;
+    while (body->bytes > 0 && body->data[body->bytes - 1] != '}')
+        body->bytes--;
+    body->bytes -= body->bytes > 0;
+    buf_printf(body, ",\"start\":{\"read\":%.6f,\"pack\":%.6f,\"ready\":%.6f,\"send\":%.6f,",
+               start->read, start->pack, start->ready, start->send);
+    if (begun > 0 && first > 0)
+        buf_printf(body, "\"first_pixel\":%.6f}}\n", begun + first - start->begun_at);
+    else
+        buf_printf(body, "\"first_pixel\":null}}\n");
+    return buf_status(body);
+}
+
 int cmd_wait_report(struct farm *farm, const struct cli *cli, const char *job, const char *title,
-                    double start_s, bool job_ok)
+                    double start_s, const struct cmd_start *start, bool job_ok)
 {
     struct farm_json reply;
     char path[FARM_PATH_BYTES];
@@ -100,6 +120,10 @@ int cmd_wait_report(struct farm *farm, const struct cli *cli, const char *job, c
         status = farm_call(farm, "GET", path, NULL, &reply);
     if (status != EXIT_DONE)
         return status;
+    if (start && add_start(farm, reply.json.root, start) != ERR_OK) {
+        farm_json_release(&reply);
+        return farm_explain(farm, ERR_NOMEM);
+    }
     status = write_report(farm, cli);
     if (status == EXIT_DONE && !job_ok)
         status = failed_status(farm, reply.json.root);
@@ -159,7 +183,7 @@ static int ended(struct cmd_wait *w, enum follow_end end, double start_s)
     }
     if (end == FOLLOW_DONE && line->command == CLI_SUBMIT)
         status = fetch_pictures(w);
-    int report = cmd_wait_report(w->farm, w->cli, w->job, title, start_s, end == FOLLOW_DONE);
+    int report = cmd_wait_report(w->farm, w->cli, w->job, title, start_s, NULL, end == FOLLOW_DONE);
     return status != EXIT_DONE ? status : report;
 }
 

@@ -18,9 +18,18 @@ struct cmd_wait {
  * The exit status: the job's. */
 int cmd_wait_run(struct cmd_wait *w);
 
+/* What came before the job, where this process did it: seconds. */
+struct cmd_start {
+    double begun_at;   /* Unix time of the command's start */
+    double read, pack; /* the scene's files; the package */
+    double ready;      /* from the start until scene and farm were there */
+    double send;       /* what the master lacked, and the job */
+};
+
 /* The report of an ended job: GET, --report FILE, the end block or the JSON end line, and the
- * words of a failure. `job_ok`: the state is "done". */
+ * words of a failure. `job_ok`: the state is "done". `start` (may be NULL) is told in the report as
+ * "start", with "first_pixel", the time from the command's start to the job's first result. */
 int cmd_wait_report(struct farm *farm, const struct cli *cli, const char *job, const char *title,
-                    double start_s, bool job_ok);
+                    double start_s, const struct cmd_start *start, bool job_ok);
 
 #endif

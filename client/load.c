@@ -6,6 +6,7 @@
 
 #include "client/cli.h"
 #include "client/doctor.h"
+#include "client/follow.h"
 #include "client/import.h"
 #include "client/until.h"
 #include "common/mem.h"
@@ -123,6 +124,7 @@ static uint64_t count_lights(const struct scene *s)
 
 static void make_package(struct load *load)
 {
+    double begun = follow_now_s();
     load->spec_json = job_spec_to_json(&load->spec);
     if (!load->spec_json || package_write(&load->scene, load->spec.aov, &load->package) != ERR_OK) {
         load->status = EXIT_MACHINE;
@@ -130,6 +132,7 @@ static void make_package(struct load *load)
         return;
     }
     load->has_package = true;
+    load->pack_s = follow_now_s() - begun;
 }
 
 /* What ends the job; false: the status says why not. */
@@ -198,7 +201,9 @@ void load_scene(struct load *load, const struct cli_line *line, bool keep_scene)
     const char *path = line->arguments[0];
     *load = (struct load){0};
     diag_init(&load->problems);
+    double begun = follow_now_s();
     enum err e = read_scene(load, path);
+    load->read_s = follow_now_s() - begun;
     if (e != ERR_OK) {
         load->status = err_exit_status(e);
         if (load->status == EXIT_MACHINE)

@@ -20,8 +20,9 @@ struct load {
     struct diag_list problems; /* errors and warnings, also after success */
     uint64_t light_count; /* triangles and spheres that emit, lights without a surface, the sky */
     bool has_scene, has_package;
-    enum err trouble; /* of the machine, with status 5 */
-    int status;       /* exit status: 0, 2 (options do not fit), 3 (bad scene), 5 */
+    double read_s, pack_s; /* what reading took, and making the package */
+    enum err trouble;      /* of the machine, with status 5 */
+    int status;            /* exit status: 0, 2 (options do not fit), 3 (bad scene), 5 */
 };
 
 /* Reads, applies the options, checks, and makes the package; the scene itself is dropped then

@@ -205,10 +205,18 @@ def second_job(bin_dir, folder):
     row("first", farm.job(scene))
     row("second, other seed", farm.job(scene, "--seed", "2"))
     row("third, other size", farm.job(scene, "--size", "96x48"))
-    worker.terminate()
-    worker.wait()
-    worker = farm.worker()
-    row("after a restart of the worker", farm.job(scene, "--seed", "3"))
+    restarts = []
+    for turn in range(RUNS):
+        worker.terminate()
+        worker.wait()
+        worker = farm.worker()
+        report = farm.job(scene, "--seed", str(turn + 3))
+        if turn == 0:
+            row("after a restart of the worker", report)
+        restarts.append(report["seconds"])
+    for name, of in (("loaded and built", lambda s: s["load"] + s["build"]), ("first result", lambda s: s["first_result"])):
+        times = sorted(1e3 * of(s) for s in restarts)
+        print(f"\nOf {RUNS} restarts, {name} after: least {times[0]:.0f} ms, median {statistics.median(times):.0f}, most {times[-1]:.0f}")
     for program in (worker, farm.master):
         program.terminate()
         program.wait()
@@ -232,24 +240,29 @@ def start(bin_dir, folder):
 
 
 def million(bin_dir, folder):
-    """A mesh of a million triangles: the first pixel of two workers of one thread, and what one worker alone takes to build."""
+    """A mesh of a million triangles: the first pixel, and what comes before it."""
     scene = ball_scene(bin_dir, folder, 290)
-    first, build, cpu = [], [], []
-    for _ in range(RUNS // 2):
-        for alone in (False, True):
+    print(f"\n`tilery render` of {12 * 290 * 290:,} triangles, medians of {RUNS} runs (least to most), ms:\n")
+    print("| workers x threads | ready | of that read | of that pack | send | load | build | first pixel | over read + build | processor time |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    rows = {}
+    for _ in range(RUNS):
+        for workers, threads in ((2, 1), (1, 2), (1, 1)):
             before, clock = os.times(), time.time()
             run(bin_dir / "tilery", "render", scene, "-o", folder / "o.exr", "--spp", "1", "--size", "64x64", "--quiet",
-                "--report", folder / "r.json", "--workers", 1 if alone else 2, "--threads", 1)
+                "--report", folder / "r.json", "--workers", workers, "--threads", threads)
             after = os.times()
             report = json.loads((folder / "r.json").read_text())
-            if alone:
-                build.append(report["seconds"]["build"])
-            else:
-                first.append(report["started"] - clock + report["seconds"]["first_result"])
-                cpu.append(after.children_user + after.children_system - before.children_user - before.children_system)
-    print(f"\n`tilery render` of {12 * 290 * 290:,} triangles, two workers of one thread, of {len(first)} runs: first pixel at "
-          f"{min(first):.2f} s, median {statistics.median(first):.2f} s; processor time, median {statistics.median(cpu):.2f} s; "
-          f"one worker alone builds in {min(build):.2f} s, median {statistics.median(build):.2f} s")
+            start, s = report["start"], report["seconds"]
+            first = report["started"] - clock + s["first_result"]
+            rows.setdefault(f"{workers} x {threads}", []).append(
+                [1e3 * t for t in (start["ready"], start["read"], start["pack"], start["send"], s["load"], s["build"], first)] +
+                [first / (start["read"] + s["build"]),
+                 1e3 * (after.children_user + after.children_system - before.children_user - before.children_system)])
+    for name, values in rows.items():
+        cells = [f"{statistics.median(c):.{d}f} ({min(c):.{d}f} to {max(c):.{d}f})"
+                 for c, d in zip(zip(*values), (0, 0, 0, 0, 0, 0, 0, 2, 0))]
+        print(f"| {name} | {' | '.join(cells)} |")
 
 
 def main():

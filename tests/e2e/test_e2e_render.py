@@ -59,6 +59,10 @@ def test_report_scenes(tmp_path, scene):
     for key in ("total", "load", "build", "render", "gather"):
         assert key in report["seconds"]
     assert 0 < report["seconds"]["first_result"] <= report["seconds"]["total"]
+    start = report["start"]
+    for key in ("read", "pack", "ready", "send"):
+        assert 0 <= start[key] < start["first_pixel"], start
+    assert start["first_pixel"] >= start["ready"] + report["seconds"]["first_result"] - 0.5, start
     for key in ("total", "retried", "speculated", "rejected", "verified"):
         assert key in report["units"]
     for key in ("scene_sent", "results_received"):
