@@ -1,8 +1,11 @@
 """Late pictures on real farms: the same bits, fewer bytes, whatever happens while they come."""
 import json
+import math
+import struct
 import subprocess
 import sys
 import time
+import zlib
 
 import pytest
 
@@ -91,6 +94,85 @@ def test_a_cache_on_disk_is_asked_first(farm, gallery, eager, tmp_path):
     farm.worker(threads=2, arguments=arguments)
     report = farm.wait_job(farm.submit(gallery / "wall.json", *OPTIONS, "--seed", 7), timeout=120)
     assert report["bytes"]["scene_sent"] == 0
+
+
+# --- One after the other -----------------------------------------------------------------------
+
+MIRRORS, VAIN_MAX = 14, 8  # RUNS_IN_VAIN_MAX of worker/work.c
+
+
+def tilts():
+    """Bytes of red and blue that tilt a normal by some 20 degrees, and by how many radians."""
+    best = min(((r, b) for r in range(150, 190) for b in range(230, 256)),
+               key=lambda rb: abs(math.atan2(2 * rb[0] - 255, 2 * rb[1] - 255) - math.radians(20)))
+    return best, math.atan2(2 * best[0] - 255, 2 * best[1] - 255)
+
+
+def write_png(path, pixels):
+    rows = b"".join(b"\0" + pixels[3 * SIDE * y:3 * SIDE * (y + 1)] for y in range(SIDE))
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", SIDE, SIDE, 8, 2, 0, 0, 0)) +
+                     chunk(b"IDAT", zlib.compress(rows, 1)) + chunk(b"IEND", b""))
+
+
+def mirror(at, facing, along, half, name):
+    """A square with texture coordinates that grow along an angle in the plane of x and y."""
+    g = (math.cos(facing), math.sin(facing), 0)
+    t = (math.cos(along), math.sin(along), 0)
+    b = (g[1] * t[2] - g[2] * t[1], g[2] * t[0] - g[0] * t[2], g[0] * t[1] - g[1] * t[0])
+    signs = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    corners = [[at[k] + half * (i * t[k] + j * b[k]) for k in range(3)] for i, j in signs]
+    name.write_text("\n".join(["v %.9g %.9g %.9g" % tuple(c) for c in corners] +
+                              ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "f 1/1 2/2 3/3 4/4", ""]))
+
+
+@pytest.fixture(scope="module")
+def stairs(tmp_path_factory):
+    """Light that goes up a flight of mirrors, each of which sends it to the next only with its own normal map: without,
+    it misses all others. So a path meets one picture more with each that has come."""
+    folder = tmp_path_factory.mktemp("stairs")
+    (red, blue), tilt = tilts()
+    textures, materials, objects, x, y = {}, {}, [], 0, 0
+    for i in range(MIRRORS):
+        # The mirror that turns +x into +y looks to 135 degrees, the other one to -45; the squares are off by the tilt.
+        up = i % 2 == 0
+        looks = math.radians(135) + tilt if up else math.radians(-45) - tilt
+        along = looks - math.pi / 2 if up else looks + math.pi / 2
+        mirror((x, y, 0), looks, along, 0.35, folder / f"m{i}.obj")
+        pixels = bytes((red, 127 + i // 2 % 2, blue)) * (SIDE * SIDE - 1) + bytes((red, 128, i))  # each one of a kind
+        write_png(folder / f"m{i}.png", pixels)
+        textures[f"m{i}"] = {"type": "image", "path": f"m{i}.png", "encoding": "linear"}
+        materials[f"m{i}"] = {"type": "principled", "metallic": 1, "roughness": 0, "normal_texture": f"m{i}"}
+        objects.append({"type": "mesh", "path": f"m{i}.obj", "material_name": f"m{i}"})
+        x, y = (x, y + 1) if up else (x + 1, y)
+    objects.append({"type": "sphere", "center": [x + 2, y, 0], "radius": 1.5,
+                    "light": {"type": "area", "radiance": [5, 4, 3]}})
+    scene = folder / "stairs.json"
+    scene.write_text(json.dumps({
+        "integrator": {"type": "path", "spp": 4, "max_depth": MIRRORS + 4}, "film": {"resolution": [32, 24]},
+        "camera": {"position": [-2, 0, 0], "look_at": [0, 0, 0], "ref_up": [0, 0, 1], "fov": 0.5},
+        "textures": textures, "materials": materials, "objects": objects}))
+    return scene
+
+
+def render_stairs(folder, scene, *arguments):
+    with Farm(folder) as f:
+        worker = f.worker(threads=1, arguments=("--log", "debug", *arguments))
+        return f.wait_job(f.submit(scene), timeout=120), worker.log()
+
+
+def test_units_that_run_in_vain_too_often_fetch_all(stairs, tmp_path_factory):
+    """One picture a run would be fourteen runs."""
+    whole, _ = render_stairs(tmp_path_factory.mktemp("eager"), stairs, "--eager")
+    report, log = render_stairs(tmp_path_factory.mktemp("late"), stairs)
+    runs = [int(word.split("=")[1]) for word in log.split() if word.startswith("runs=")]
+    assert f"late={MIRRORS} of={MIRRORS}" in log
+    assert max(runs) == VAIN_MAX and set(runs) == set(range(1, VAIN_MAX + 1)), runs
+    assert report["image_sha256"] == whole["image_sha256"]
+    assert report["bytes"]["scene_sent"] == whole["bytes"]["scene_sent"]
+    assert report["units"]["retried"] == 0
 
 
 # --- While pictures come -----------------------------------------------------------------------
