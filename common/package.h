@@ -12,8 +12,8 @@
  *   image: "TLYI" u32 version, width, height, channels, format, stored channels, their planes
  *
  * The readers take hostile bytes: ERR_CORRUPT, ERR_LIMIT or ERR_VERSION, never a crash, and no
- * allocation larger than the bytes given can fill. Pure apart from memory; one thread per
- * object.
+ * allocation larger than the bytes given can fill. Pure apart from memory, and from the threads on
+ * which package_write packs large chunks; one thread per object.
  */
 #ifndef COMMON_PACKAGE_H
 #define COMMON_PACKAGE_H

@@ -5,6 +5,7 @@
 #include "common/mem.h"
 #include "common/package_codec.h"
 #include "common/package_trim.h"
+#include "common/parallel.h"
 
 const char *const package_left_what[PACKAGE_LEFT_COUNT] = {
 #define PACKAGE_LEFT_WHAT(id, what, why) what,
@@ -214,32 +215,31 @@ static bool chunk_set_init(struct chunk_set *set, struct package_chunk *chunks, 
     return set->slots != NULL;
 }
 
-static void chunk_take(struct package_chunk *chunk, struct buf *b, enum package_kind kind)
+static void chunk_take(struct package_chunk *chunk, struct buf *b, const digest *name,
+                       enum package_kind kind)
 {
-    *chunk = (struct package_chunk){
-        .name = digest_of(b->data, b->bytes), .data = b->data, .bytes = b->bytes, .kind = kind};
+    *chunk =
+        (struct package_chunk){.name = *name, .data = b->data, .bytes = b->bytes, .kind = kind};
     buf_init(b);
 }
 
 /* Takes the buf's memory as a chunk after the others, or frees it if an equal one is there; gives
  * its place and whether it is new. */
-static bool chunk_set_add(struct chunk_set *set, struct buf *b, enum package_kind kind,
-                          uint32_t *place)
+static bool chunk_set_add(struct chunk_set *set, struct buf *b, const digest *name,
+                          enum package_kind kind, uint32_t *place)
 {
-    struct package_chunk *chunk = &set->chunks[set->count];
-    chunk_take(chunk, b, kind);
     size_t slot;
-    memcpy(&slot, chunk->name.bytes, sizeof slot);
+    memcpy(&slot, name->bytes, sizeof slot);
     for (slot &= set->mask; set->slots[slot]; slot = (slot + 1) & set->mask) {
         *place = set->slots[slot] - 1;
-        if (digest_equal(&set->chunks[*place].name, &chunk->name)) {
-            mem_free(chunk->data);
-            *chunk = (struct package_chunk){0};
+        if (digest_equal(&set->chunks[*place].name, name)) {
+            buf_release(b);
             return false;
         }
     }
     *place = (uint32_t)set->count++;
     set->slots[slot] = *place + 1;
+    chunk_take(&set->chunks[*place], b, name, kind);
     return true;
 }
 
@@ -249,81 +249,152 @@ static void leave_copy(struct package *p, uint64_t bytes)
     leave(p->left, PACKAGE_LEFT_COPIES, bytes + CODEC_ENTRY_BYTES);
 }
 
+/* One chunk being made, with what it leaves out. */
+struct packed {
+    struct buf bytes;
+    digest name;
+    struct package_left left[PACKAGE_LEFT_COUNT];
+    enum err error;
+};
+
 /* The trimmed mesh as a chunk. */
-static enum err put_mesh(const struct trimmed *t, size_t i, struct package *p, struct buf *b)
+static enum err put_mesh(const struct trimmed *t, size_t i, struct packed *out)
 {
     struct trimmed_mesh m = {.mesh = t->scene.meshes[i]};
     if (!t->plan.whole)
-        TL_TRY(package_trim_mesh(&t->scene.meshes[i], &t->plan.meshes[i], p->left, &m));
+        TL_TRY(package_trim_mesh(&t->scene.meshes[i], &t->plan.meshes[i], out->left, &m));
     bool f32 = !t->plan.whole && package_mesh_fits_f32(&m.mesh);
     if (f32) {
-        p->left[PACKAGE_LEFT_DIGITS].count += m.mesh.vertex_count * UINT64_C(3);
-        p->left[PACKAGE_LEFT_DIGITS].bytes += m.mesh.vertex_count * UINT64_C(3) * sizeof(float);
+        out->left[PACKAGE_LEFT_DIGITS].count += m.mesh.vertex_count * UINT64_C(3);
+        out->left[PACKAGE_LEFT_DIGITS].bytes += m.mesh.vertex_count * UINT64_C(3) * sizeof(float);
     }
-    enum err e = package_mesh_put(&m.mesh, f32, b);
+    enum err e = package_mesh_put(&m.mesh, f32, &out->bytes);
     package_trim_mesh_release(&m);
     return e;
 }
 
-static enum err put_image(const struct trimmed *t, size_t i, struct package *p, struct buf *b)
+static enum err put_image(const struct trimmed *t, size_t i, struct packed *out)
 {
     struct scene_image image = t->scene.images[i];
     unsigned stored = (1u << image.channel_count) - 1;
     bool own = false;
     if (!t->plan.whole)
-        TL_TRY(package_trim_image(&t->scene.images[i], t->plan.channels[i], p->left, &image,
+        TL_TRY(package_trim_image(&t->scene.images[i], t->plan.channels[i], out->left, &image,
                                   &stored, &own));
-    enum err e = package_image_put(&image, stored, b);
+    enum err e = package_image_put(&image, stored, &out->bytes);
     if (own)
         mem_free(image.pixels);
     return e;
 }
 
-/* Meshes with the same bytes become one: objects then share its index. */
+/* Chunks of one kind, made side by side, some at a time: an equal one is found by its name only
+ * once it is made. */
+enum { PACKED_MAX = 32 };
+
+struct packing {
+    const struct trimmed *from;
+    enum package_kind kind;
+    size_t first; /* of the scene's meshes or images */
+    struct packed chunks[PACKED_MAX];
+};
+
+static void pack_one(void *arg, size_t i)
+{
+    struct packing *w = arg;
+    struct packed *out = &w->chunks[i];
+    out->error = w->kind == PACKAGE_MESH ? put_mesh(w->from, w->first + i, out)
+                                         : put_image(w->from, w->first + i, out);
+    if (out->error == ERR_OK)
+        out->name = digest_of(out->bytes.data, out->bytes.bytes);
+}
+
+static void add_left(struct package_left *sum, const struct package_left *left)
+{
+    for (int k = 0; k < PACKAGE_LEFT_COUNT; k++) {
+        sum[k].count += left[k].count;
+        sum[k].bytes += left[k].bytes;
+    }
+}
+
+/* Threads are begun for more than they cost. */
+#define SIDE_BY_SIDE_BYTES_MIN (UINT64_C(1) << 20)
+
+static void pack_some(struct packing *w, size_t count)
+{
+    const struct scene *s = &w->from->scene;
+    uint64_t bytes = 0;
+    for (size_t i = w->first; i < w->first + count; i++)
+        bytes += w->kind == PACKAGE_MESH ? package_mesh_bytes(&s->meshes[i])
+                                         : package_image_bytes(&s->images[i]);
+    if (bytes >= SIDE_BY_SIDE_BYTES_MIN)
+        parallel_for(count, pack_one, w);
+    for (size_t i = 0; bytes < SIDE_BY_SIDE_BYTES_MIN && i < count; i++)
+        pack_one(w, i);
+}
+
+/* In the scene's order, whoever was made first. */
+static enum err take_packed(struct trimmed *t, struct packing *w, size_t count,
+                            struct chunk_set *set, struct package *p)
+{
+    struct scene *s = &t->scene;
+    for (size_t k = 0; k < count; k++) {
+        struct packed *c = &w->chunks[k];
+        size_t i = w->first + k;
+        TL_TRY(c->error);
+        add_left(p->left, c->left);
+        uint64_t bytes = c->bytes.bytes;
+        bool mesh = w->kind == PACKAGE_MESH;
+        uint32_t *place = mesh ? &t->mesh_map[i] : &t->image_map[i];
+        bool is_new = chunk_set_add(set, &c->bytes, &c->name, w->kind, place);
+        if (mesh && is_new)
+            s->meshes[set->count - 1] = s->meshes[i];
+        else if (!is_new)
+            leave_copy(p, bytes + (mesh ? CODEC_NAME_BYTES + strlen(s->meshes[i].name) : 0));
+    }
+    return ERR_OK;
+}
+
+/* Chunks with the same bytes become one: who refers to them then shares its index. */
+static enum err pack_all(struct trimmed *t, enum package_kind kind, size_t count, struct package *p)
+{
+    struct chunk_set set;
+    struct packing *w = mem_calloc(1, sizeof *w);
+    bool made = chunk_set_init(&set, p->chunks + p->count, count);
+    enum err e = w && made ? ERR_OK : ERR_NOMEM;
+    for (size_t first = 0; e == ERR_OK && first < count; first += PACKED_MAX) {
+        size_t some = count - first < PACKED_MAX ? count - first : PACKED_MAX;
+        *w = (struct packing){.from = t, .kind = kind, .first = first};
+        pack_some(w, some);
+        e = take_packed(t, w, some, &set, p);
+        for (size_t k = 0; k < some; k++)
+            buf_release(&w->chunks[k].bytes);
+    }
+    if (kind == PACKAGE_MESH)
+        t->scene.mesh_count = set.count;
+    else
+        t->scene.image_count = set.count;
+    p->count += set.count;
+    mem_free(set.slots);
+    mem_free(w);
+    return e;
+}
+
 static enum err put_meshes(struct trimmed *t, struct package *p)
 {
     struct scene *s = &t->scene;
-    struct chunk_set set;
-    enum err e = chunk_set_init(&set, p->chunks + p->count, s->mesh_count) ? ERR_OK : ERR_NOMEM;
-    for (size_t i = 0; e == ERR_OK && i < s->mesh_count; i++) {
-        struct buf b;
-        buf_init(&b);
-        e = put_mesh(t, i, p, &b);
-        uint64_t bytes = b.bytes;
-        if (e == ERR_OK && chunk_set_add(&set, &b, PACKAGE_MESH, &t->mesh_map[i]))
-            s->meshes[set.count - 1] = s->meshes[i];
-        else if (e == ERR_OK)
-            leave_copy(p, bytes + CODEC_NAME_BYTES + strlen(s->meshes[i].name));
-        buf_release(&b);
-    }
-    for (size_t i = 0; e == ERR_OK && i < s->object_count; i++)
+    TL_TRY(pack_all(t, PACKAGE_MESH, s->mesh_count, p));
+    for (size_t i = 0; i < s->object_count; i++)
         renumber(&s->objects[i].mesh, t->mesh_map);
-    s->mesh_count = set.count;
-    p->count += set.count;
-    mem_free(set.slots);
-    return e;
+    return ERR_OK;
 }
 
 static enum err put_images(struct trimmed *t, struct package *p)
 {
     struct scene *s = &t->scene;
-    struct chunk_set set;
-    enum err e = chunk_set_init(&set, p->chunks + p->count, s->image_count) ? ERR_OK : ERR_NOMEM;
-    for (size_t i = 0; e == ERR_OK && i < s->image_count; i++) {
-        struct buf b;
-        buf_init(&b);
-        e = put_image(t, i, p, &b);
-        uint64_t bytes = b.bytes;
-        if (e == ERR_OK && !chunk_set_add(&set, &b, PACKAGE_IMAGE, &t->image_map[i]))
-            leave_copy(p, bytes);
-        buf_release(&b);
-    }
-    for (size_t i = 0; e == ERR_OK && i < s->texture_count; i++)
+    TL_TRY(pack_all(t, PACKAGE_IMAGE, s->image_count, p));
+    for (size_t i = 0; i < s->texture_count; i++)
         renumber(&s->textures[i].image, t->image_map);
-    s->image_count = set.count;
-    p->count += set.count;
-    mem_free(set.slots);
-    return e;
+    return ERR_OK;
 }
 
 static enum err put_root(struct trimmed *t, struct package *p)
@@ -344,8 +415,10 @@ static enum err put_root(struct trimmed *t, struct package *p)
         codec_name(&c, &s->meshes[i].name);
     codec_scene(&c, s);
     enum err e = codec_end(&c);
-    if (e == ERR_OK)
-        chunk_take(&p->chunks[0], &b, PACKAGE_ROOT);
+    if (e == ERR_OK) {
+        digest name = digest_of(b.data, b.bytes);
+        chunk_take(&p->chunks[0], &b, &name, PACKAGE_ROOT);
+    }
     buf_release(&b);
     return e;
 }
