@@ -6,7 +6,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
-#include <pthread.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
@@ -19,6 +18,7 @@
 #include "client/load.h"
 #include "client/out_file.h"
 #include "client/private_farm.h"
+#include "client/quiet_thread.h"
 #include "client/signals.h"
 
 enum {
@@ -129,18 +129,13 @@ static void *load_thread(void *ctx)
     return NULL;
 }
 
-/* Signals belong to the main thread: the loader's mask has none. */
 static int start_loader(struct render *r)
 {
-    sigset_t all, before;
     if (pipe2(r->loaded_fds, O_CLOEXEC) != 0) {
         cli_error("machine", NULL, "no pipe: %s", strerror(errno));
         return EXIT_MACHINE;
     }
-    (void)sigfillset(&all);
-    (void)pthread_sigmask(SIG_SETMASK, &all, &before);
-    int failed = pthread_create(&r->loader, NULL, load_thread, r);
-    (void)pthread_sigmask(SIG_SETMASK, &before, NULL);
+    int failed = quiet_thread_begin(&r->loader, load_thread, r);
     r->loading = failed == 0;
     if (failed)
         cli_error("machine", NULL, "no thread: %s", strerror(failed));

@@ -6,6 +6,7 @@
 
 #include "client/cli_settings.h"
 #include "client/out_file.h"
+#include "client/quiet_thread.h"
 #include "client/signals.h"
 #include "common/json_put.h"
 #include "common/mem.h"
@@ -385,26 +386,76 @@ static const struct package_chunk *chunk_find(const struct package *p, const cha
     return NULL;
 }
 
-static int chunk_send(struct farm *f, const struct package_chunk *chunk)
+/* A chunk as it travels, made while the one before is on its way. */
+struct squeeze {
+    const struct package_chunk *chunk;
+    struct buf frame;
+    enum err error;
+    pthread_t thread;
+    bool runs;
+};
+
+enum { SQUEEZE_AHEAD_BYTES_MIN = 256 << 10 }; /* of a chunk that is worth a thread */
+
+static void *squeeze_run(void *ctx)
+{
+    struct squeeze *s = ctx;
+    s->error = chunk_compress(s->chunk->data, s->chunk->bytes, &s->frame);
+    return NULL;
+}
+
+static void squeeze_begin(struct squeeze *s, const struct package_chunk *chunk)
+{
+    *s = (struct squeeze){.chunk = chunk};
+    buf_init(&s->frame);
+    s->runs = chunk->bytes >= SQUEEZE_AHEAD_BYTES_MIN &&
+              quiet_thread_begin(&s->thread, squeeze_run, s) == 0;
+    if (!s->runs)
+        (void)squeeze_run(s);
+}
+
+static enum err squeeze_end(struct squeeze *s)
+{
+    if (s->runs)
+        (void)pthread_join(s->thread, NULL);
+    return s->error;
+}
+
+static int frame_send(struct farm *f, const struct package_chunk *chunk, const struct buf *frame)
 {
     char hex[DIGEST_HEX_BYTES], path[FARM_PATH_BYTES];
-    struct buf frame;
     digest_to_hex(&chunk->name, hex);
     (void)snprintf(path, sizeof path, "/api/v1/chunks/%s", hex);
-    buf_init(&frame);
-    enum err e = chunk_compress(chunk->data, chunk->bytes, &frame);
-    int status = e == ERR_OK ? EXIT_DONE : no_memory();
-    if (status == EXIT_DONE) {
-        struct http_request request = {.method = "PUT",
-                                       .path = path,
-                                       .body = frame.data,
-                                       .body_bytes = frame.bytes,
-                                       .content_type = "application/zstd"};
-        e = http_call(f->http, &request, &f->reply);
-        if (e != ERR_OK || f->reply.status < 200 || f->reply.status >= 300)
-            status = farm_explain(f, e);
+    struct http_request request = {.method = "PUT",
+                                   .path = path,
+                                   .body = frame->data,
+                                   .body_bytes = frame->bytes,
+                                   .content_type = "application/zstd"};
+    enum err e = http_call(f->http, &request, &f->reply);
+    bool good = e == ERR_OK && f->reply.status >= 200 && f->reply.status < 300;
+    return good ? EXIT_DONE : farm_explain(f, e);
+}
+
+/* `chunks` (not none) in turn. */
+static int chunks_send(struct farm *f, const struct package_chunk *const *chunks, size_t count)
+{
+    struct squeeze turns[2];
+    int status = EXIT_DONE;
+    squeeze_begin(&turns[0], chunks[0]);
+    for (size_t i = 0; i < count; i++) {
+        struct squeeze *now = &turns[i % 2], *next = &turns[(i + 1) % 2];
+        enum err e = squeeze_end(now);
+        if (e != ERR_OK && status == EXIT_DONE)
+            status = no_memory();
+        bool more = status == EXIT_DONE && i + 1 < count;
+        if (more)
+            squeeze_begin(next, chunks[i + 1]);
+        if (status == EXIT_DONE)
+            status = frame_send(f, now->chunk, &now->frame);
+        buf_release(&now->frame);
+        if (!more)
+            break;
     }
-    buf_release(&frame);
     return status;
 }
 
@@ -424,20 +475,36 @@ static int missing_ask(struct farm *f, const struct package *p, struct farm_json
     return status;
 }
 
+/* Those of the package that the reply names; NULL: out of memory. */
+static const struct package_chunk **missing_take(const struct package *p, const struct json *root,
+                                                 size_t *count)
+{
+    const struct json *missing = json_get_member(root, "missing");
+    const struct json *v = missing && missing->type == JSON_ARRAY ? missing->first : NULL;
+    const struct package_chunk **chunks = mem_alloc_array(p->count, sizeof *chunks);
+    *count = 0;
+    for (; v && chunks && *count < p->count; v = v->next) {
+        const struct package_chunk *chunk = v->type == JSON_STRING ? chunk_find(p, v->text) : NULL;
+        if (chunk)
+            chunks[(*count)++] = chunk;
+    }
+    return chunks;
+}
+
 static int package_send(struct farm *f, const struct package *p)
 {
     struct farm_json reply;
+    size_t count;
     int status = missing_ask(f, p, &reply);
     if (status != EXIT_DONE)
         return status;
-    const struct json *missing = json_get_member(reply.json.root, "missing");
-    const struct json *v = missing && missing->type == JSON_ARRAY ? missing->first : NULL;
-    for (; v && status == EXIT_DONE; v = v->next) {
-        const struct package_chunk *chunk = v->type == JSON_STRING ? chunk_find(p, v->text) : NULL;
-        if (chunk)
-            status = chunk_send(f, chunk);
-    }
+    const struct package_chunk **chunks = missing_take(p, reply.json.root, &count);
     farm_json_release(&reply);
+    if (!chunks)
+        return no_memory();
+    if (count > 0)
+        status = chunks_send(f, chunks, count);
+    mem_free((void *)chunks);
     return status;
 }
 

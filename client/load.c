@@ -1,13 +1,12 @@
 #include "client/load.h"
 
-#include <pthread.h>
-#include <signal.h>
 #include <string.h>
 
 #include "client/cli.h"
 #include "client/doctor.h"
 #include "client/follow.h"
 #include "client/import.h"
+#include "client/quiet_thread.h"
 #include "client/until.h"
 #include "common/mem.h"
 #include "common/scene_json.h"
@@ -164,16 +163,12 @@ static void *doctor_run(void *ctx)
     return NULL;
 }
 
-/* No thread: done at once. Signals are for the threads that wait for them. */
+/* No thread: done at once. */
 static void doctor_begin(struct doctor_thread *d, const struct scene *scene)
 {
-    sigset_t all, before;
     *d = (struct doctor_thread){.scene = scene};
     diag_init(&d->problems);
-    (void)sigfillset(&all);
-    (void)pthread_sigmask(SIG_SETMASK, &all, &before);
-    d->runs = pthread_create(&d->thread, NULL, doctor_run, d) == 0;
-    (void)pthread_sigmask(SIG_SETMASK, &before, NULL);
+    d->runs = quiet_thread_begin(&d->thread, doctor_run, d) == 0;
     if (!d->runs)
         (void)doctor_run(d);
 }
