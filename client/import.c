@@ -252,6 +252,7 @@ enum err import_finish(struct import *im, struct job_spec *spec)
         import_warn(im, "camera-added", NULL, "no camera in it; the whole model is framed");
         import_frame(im);
     }
+    import_settle_culling(im);
     shape_picture(im, spec);
     if (!scene_valid(&im->scene))
         return import_fail(im, "bad-model", NULL, "a number in it is out of range");

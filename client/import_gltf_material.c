@@ -334,6 +334,8 @@ static enum err read_material(struct material_reader *r, double emission[3])
     TL_TRY(read_transmission(r));
     read_coat_and_sheen(r);
     read_alpha(r);
+    /* Glass has two sides by its nature: light that is in must get out. */
+    r->out->backface_culling = !is_doublesided(r) && !(r->out->transmission > 0);
     if (gltf_extension(r->v, "KHR_materials_unlit")) {
         make_unlit(r->out);
         emission[0] = emission[1] = emission[2] = 0;

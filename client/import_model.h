@@ -109,6 +109,10 @@ TL_NODISCARD enum err import_other(struct import *im);
  * `spec`. */
 TL_NODISCARD enum err import_finish(struct import *im, struct job_spec *spec);
 void import_frame(struct import *im);
+
+/* Leaves backface_culling to those materials for which it shows: of a mesh that is not closed, and
+ * that turns a back to the camera, which is set. */
+void import_settle_culling(struct import *im);
 TL_NODISCARD enum err import_sky(struct import *im);
 
 /* Reads a model into an initialised `im`, finished. */

@@ -161,6 +161,8 @@ static void put_principled(const struct import_writer *w, struct buf *b,
         buf_printf(b, ", \"emission_vertex_colors\": true");
     if (m->emission_twosided && (m->emission[0] > 0 || m->emission[1] > 0 || m->emission[2] > 0))
         buf_printf(b, ", \"emission_twosided\": true");
+    if (m->backface_culling)
+        buf_printf(b, ", \"backface_culling\": true");
 }
 
 /* The importers make these kinds only. */

@@ -23,7 +23,7 @@
 #include "common/scene.h"
 
 enum {
-    PACKAGE_VERSION = 8,
+    PACKAGE_VERSION = 9,
     PACKAGE_CHUNKS_MAX = 1 << 21,
     PACKAGE_ROOT_BYTES_MAX = 1 << 30,
 };

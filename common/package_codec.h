@@ -48,7 +48,7 @@ void codec_magic(struct codec *c, const char magic[4]);
 /* The least bytes of a row, its name empty; of an entry of the root's list; of a name. */
 enum {
     CODEC_TEXTURE_BYTES = 4 + 8 + 48 + 4 + 8 + 48,
-    CODEC_MATERIAL_BYTES = 4 + 78 + 120 + 171,
+    CODEC_MATERIAL_BYTES = 4 + 78 + 120 + 172,
     CODEC_OBJECT_BYTES = 4 + 4 + 128 + 24 + 8 + 4 + 1 + 24,
     CODEC_LIGHT_BYTES = 4 + 72 + 16,
     CODEC_ENTRY_BYTES = DIGEST_BYTES + 8,

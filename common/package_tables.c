@@ -145,6 +145,7 @@ static void codec_principled(struct codec *c, struct scene_material *m)
     codec_u32(c, &m->emission_texture);
     codec_bool(c, &m->emission_vertex_colors);
     codec_bool(c, &m->emission_twosided);
+    codec_bool(c, &m->backface_culling);
     codec_u32(c, &m->normal_texture);
     codec_f64s(c, &m->normal_scale, 1);
     codec_f64s(c, &m->transmission, 1);

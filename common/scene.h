@@ -78,11 +78,12 @@ struct scene_material {
     char *name;
     uint32_t number; /* in the list of the scene as it was read; SCENE_NONE: its place here */
     enum scene_material_type type;
-    uint32_t texture;   /* albedo, reflectance or base colour; SCENE_NONE: `color` */
-    double color[3];    /* used when texture is SCENE_NONE; else a factor (default 1) */
-    bool twosided;      /* diffuse: reflects on both sides of the normal */
-    bool vertex_colors; /* diffuse, principled: times the mesh's colours, and opacity times its
-                           alphas, where it has some */
+    uint32_t texture;      /* albedo, reflectance or base colour; SCENE_NONE: `color` */
+    double color[3];       /* used when texture is SCENE_NONE; else a factor (default 1) */
+    bool twosided;         /* diffuse: reflects on both sides of the normal */
+    bool backface_culling; /* principled: rays that come from behind do not meet it */
+    bool vertex_colors;    /* diffuse, principled: times the mesh's colours, and opacity times its
+                              alphas, where it has some */
     enum scene_distribution distribution;
     uint32_t bump_texture;   /* heights along the normal, as luminance; SCENE_NONE: none */
     double bump_scale;       /* world units that a height of 1 stands for */

@@ -363,6 +363,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
                                        "vertex_colors",
                                        "emission_vertex_colors",
                                        "emission_twosided",
+                                       "backface_culling",
                                        "metallic_roughness_texture",
                                        "emission_texture",
                                        "normal_texture",
@@ -386,6 +387,7 @@ static void load_principled(struct scene_loader *l, const struct json *v, struct
     (void)json_get_bool(&l->g, v, "vertex_colors", &m->vertex_colors);
     (void)json_get_bool(&l->g, v, "emission_vertex_colors", &m->emission_vertex_colors);
     (void)json_get_bool(&l->g, v, "emission_twosided", &m->emission_twosided);
+    (void)json_get_bool(&l->g, v, "backface_culling", &m->backface_culling);
     load_principled_textures(l, v, m);
     load_opacity(l, v, m);
 }

@@ -146,6 +146,8 @@ static void mark_material(struct scene_plan *p, const struct scene *s, uint32_t 
         need(p, SCENE_FEATURE_NORMAL_MAPS);
     if (m.alpha_used && (m.texture != SCENE_NONE || m.alpha < 1))
         need(p, SCENE_FEATURE_OPACITY);
+    if (m.backface_culling)
+        need(p, SCENE_FEATURE_CULLING);
 }
 
 /* Objects first: they say which materials count, and whether an emission texture is read. */

@@ -35,6 +35,7 @@
     X(NORMAL_MAPS, "normal maps")                                                                  \
     X(BUMPS, "bump maps")                                                                          \
     X(OPACITY, "opacity")                                                                          \
+    X(CULLING, "backface culling")                                                                 \
     X(NORMALS, "vertex normals")                                                                   \
     X(UVS, "texture coordinates")                                                                  \
     X(COLORS, "colours of vertices")                                                               \

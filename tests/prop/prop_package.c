@@ -97,6 +97,7 @@ static void make_material(const struct scene *s, struct scene_material *m, size_
     m->vertex_colors = draw(2);
     m->emission_vertex_colors = draw(2);
     m->emission_twosided = draw(2);
+    m->backface_culling = draw(2);
     m->k[1] = draw_number();
 }
 

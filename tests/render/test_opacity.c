@@ -326,9 +326,65 @@ static void every_surface_is_asked_anew(void **state)
     }
 }
 
+/* A black sheet that is not there from behind, its front up or down. */
+static void add_sheet(struct scene *s, double y, bool front_up)
+{
+    static const double up[12] = {-9, 0, -9, -9, 0, 9, 9, 0, 9, 9, 0, -9};
+    static const double down[12] = {-9, 0, -9, 9, 0, -9, 9, 0, 9, -9, 0, 9};
+    struct scene_material *m;
+    uint32_t material = kit_material(s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->backface_culling = true;
+    m->specular = m->metallic = 0;
+    m->color[0] = m->color[1] = m->color[2] = 0;
+    uint32_t sheet = kit_quad(s, front_up ? up : down, material);
+    s->objects[sheet].transform[7] = y;
+}
+
+/* Rays from below go through the back of a sheet whose front is up, shadow rays too. */
+static void backs_throw_no_shadow(void **state)
+{
+    (void)state;
+    for (int front_up = 0; front_up < 2; front_up++) {
+        struct scene s;
+        scene_init(&s);
+        kit_emit(&s, kit_sphere(&s, 0, 1, 0, 0.2, SCENE_NONE), 3, 3, 3);
+        add_sheet(&s, 0.75, front_up);
+        add_floor(&s, kit_diffuse(&s, 0.6, 0.6, 0.6));
+        look_at_floor(&s);
+        double expected = front_up ? 0.6 * 3 * 0.2 * 0.2 : 0;
+        for (int p = 0; p < 3; p++) {
+            double found = floor_radiance(&s, (enum job_profile)p, 256);
+            print_message("  front %s, %s: %g for %g\n", front_up ? "up" : "down",
+                          job_profile_names[p], found, expected);
+            assert_true(fabs(found - expected) <= 0.02 * expected);
+        }
+        scene_release(&s);
+    }
+}
+
+/* The camera above sees the sky below through it, or black; so do the planes of first hits. */
+static void backs_are_not_seen(void **state)
+{
+    (void)state;
+    for (int front_up = 0; front_up < 2; front_up++) {
+        struct scene s;
+        scene_init(&s);
+        kit_constant_sky(&s, 2);
+        add_sheet(&s, 0.25, front_up);
+        look_at_floor(&s);
+        struct job_spec spec = kit_spec(8, 4);
+        struct kit_picture p = kit_render(&s, &spec, 0);
+        assert_true(fabs(kit_picture_mean(&p) - (front_up ? 0 : 2)) < 1e-6);
+        kit_picture_free(&p);
+        scene_release(&s);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(backs_throw_no_shadow),
+        cmocka_unit_test(backs_are_not_seen),
         cmocka_unit_test(every_surface_is_asked_anew),
         cmocka_unit_test(profiles_agree),
         cmocka_unit_test(candidates_agree),

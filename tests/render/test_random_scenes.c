@@ -120,6 +120,7 @@ static uint32_t add_material(struct scene *s)
     m->normal_texture = principled ? normals : (uint32_t)SCENE_NONE;
     m->bump_texture = heights;
     m->bump_scale = draw(0, 0.2);
+    m->backface_culling = principled && one_of(2);
     return index;
 }
 

@@ -209,9 +209,9 @@ static void vertex_alphas_are_interpolated(void **state)
             double opacity = 0.8 * (i & 1 ? of_mesh : 1);
             opacity = i & 4 ? opacity >= 0.3 : opacity;
             opacity = i & 2 ? opacity : 1;
-            assert_true(fabs(shade_opacity(built, &hit) - opacity) < 1e-15);
+            assert_true(fabs(shade_opacity(built, &hit, v3(0, 0, -1)) - opacity) < 1e-15);
             hit.object = ball; /* has none */
-            assert_true(shade_opacity(built, &hit) == (i & 2 ? i & 4 ? 1 : 0.8 : 1));
+            assert_true(shade_opacity(built, &hit, v3(0, 0, -1)) == (i & 2 ? i & 4 ? 1 : 0.8 : 1));
         }
         render_scene_free(built);
         scene_release(&s);

@@ -290,6 +290,120 @@ static void gltf_colors_multiply(void **state)
     mem_free(path);
 }
 
+/* --- Backs that are not there ----------------------------------------------- */
+
+/* A tetrahedron, its faces seen from outside counter-clockwise, each with corners of its own. */
+static void add_tetrahedron(struct import *im, uint32_t faces, bool by_normals, bool mirrored)
+{
+    static const double corners[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    static const uint32_t rings[4][3] = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
+    struct scene_mesh mesh = {.vertex_count = 3 * faces, .triangle_count = faces};
+    struct scene_material material;
+    struct scene_object object;
+    scene_object_init(&object);
+    scene_material_init(&material);
+    material.type = SCENE_MATERIAL_PRINCIPLED;
+    material.backface_culling = true;
+    mesh.positions = mem_alloc_array(12, 3 * sizeof *mesh.positions);
+    mesh.normals = by_normals ? mem_alloc_array(12, 3 * sizeof *mesh.normals) : NULL;
+    mesh.indices = mem_alloc_array(12, sizeof *mesh.indices);
+    for (uint32_t i = 0; i < 3 * faces; i++) {
+        mesh.indices[i] = i;
+        for (int k = 0; k < 3; k++) {
+            /* By their normals, every other face is wound the other way. */
+            uint32_t at = by_normals && i / 3 % 2 ? 2 - i % 3 : i % 3;
+            mesh.positions[3 * i + (uint32_t)k] = corners[rings[i / 3][at]][k];
+            if (by_normals) /* from the middle of all */
+                mesh.normals[3 * i + (uint32_t)k] =
+                    (float)(corners[rings[i / 3][0]][k] + corners[rings[i / 3][1]][k] +
+                            corners[rings[i / 3][2]][k] - 0.75);
+        }
+    }
+    if (mirrored)
+        object.transform[0] = -1;
+    assert_int_equal(import_add_material(im, &material, "m", &object.material), ERR_OK);
+    assert_int_equal(import_add_mesh(im, &mesh, &object.mesh), ERR_OK);
+    assert_int_equal(import_add_object(im, &object), ERR_OK);
+}
+
+static bool keeps_culling(uint32_t faces, int form, const double eye[3], bool parallel)
+{
+    struct import im;
+    struct diag_list problems;
+    make(&im, &problems);
+    add_tetrahedron(&im, faces, form & 1, form & 2);
+    struct scene_camera *c = &im.scene.camera;
+    c->type = parallel ? SCENE_CAMERA_ORTHOGRAPHIC : SCENE_CAMERA_PINHOLE;
+    for (int k = 0; k < 3; k++) {
+        c->position[k] = eye[k];
+        c->look_at[k] = parallel ? 0 : 0.1;
+    }
+    if (form & 2)
+        c->position[0] = -c->position[0];
+    import_settle_culling(&im);
+    bool kept = im.scene.materials[0].backface_culling;
+    finish(&im, &problems);
+    return kept;
+}
+
+static void culling_is_kept_where_it_shows(void **state)
+{
+    (void)state;
+    static const double outside[3] = {5, 5, 5}, below[3] = {-5, -6, -7};
+    for (int form = 0; form < 4; form++) {
+        for (int parallel = 0; parallel < 2; parallel++) {
+            /* Closed: only a camera inside sees backs. */
+            assert_false(keeps_culling(4, form, outside, parallel));
+            assert_false(keeps_culling(4, form, below, parallel));
+            /* The face that looks at (5, 5, 5) is missing: what is behind turns its back. */
+            assert_true(keeps_culling(3, form, outside, parallel));
+            assert_false(keeps_culling(3, form, below, parallel));
+        }
+    }
+}
+
+/* A triangle turned away, of a material that `of_material` describes. */
+static bool gltf_culls(const char *of_material)
+{
+    char text[1024], folder[] = "/tmp/tilery-import-XXXXXX";
+    (void)snprintf(
+        text, sizeof text,
+        "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],"
+        "\"nodes\":[{\"mesh\":0,\"rotation\":[0,1,0,0]}],\"materials\":[{%s}],"
+        "\"meshes\":[{\"primitives\":[{\"material\":0,\"attributes\":{\"POSITION\":0}}]}],"
+        "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,"
+        "\"type\":\"VEC3\",\"min\":[0,0,0],\"max\":[1,1,0]}],"
+        "\"bufferViews\":[{\"buffer\":0,\"byteLength\":36}],\"buffers\":[{\"byteLength\":36,"
+        "\"uri\":\"data:application/octet-stream;base64,"
+        "AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA\"}]}",
+        of_material);
+    assert_non_null(mkdtemp(folder));
+    char *path = file_join(folder, "a.gltf");
+    assert_int_equal(file_write(path, text, strlen(text)), ERR_OK);
+    struct import im;
+    struct job_spec spec;
+    struct diag_list problems;
+    diag_init(&problems);
+    assert_int_equal(import_init(&im, path, &problems), ERR_OK);
+    assert_int_equal(import_run(&im, &spec), ERR_OK);
+    bool culls = im.scene.materials[im.scene.objects[0].material].backface_culling;
+    finish(&im, &problems);
+    assert_int_equal(unlink(path), 0);
+    assert_int_equal(rmdir(folder), 0);
+    mem_free(path);
+    return culls;
+}
+
+static void gltf_says_what_is_culled(void **state)
+{
+    (void)state;
+    assert_true(gltf_culls(""));
+    assert_true(gltf_culls("\"doubleSided\":false"));
+    assert_false(gltf_culls("\"doubleSided\":true"));
+    assert_false(gltf_culls("\"extensions\":{\"KHR_materials_transmission\":"
+                            "{\"transmissionFactor\":1}}"));
+}
+
 /* --- Kinds of files ------------------------------------------------------ */
 
 static bool is_model(const char *folder, const char *name, const char *text)
@@ -331,6 +445,8 @@ int main(int argc, char **argv)
         cmocka_unit_test(the_whole_model_is_framed),
         cmocka_unit_test(a_sky_lights_what_has_no_light),
         cmocka_unit_test(gltf_colors_multiply),
+        cmocka_unit_test(culling_is_kept_where_it_shows),
+        cmocka_unit_test(gltf_says_what_is_culled),
         cmocka_unit_test(kinds_are_told_by_contents_first),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -57,7 +57,8 @@ struct material {
     double bump_scale; /* scene units of a height of 1 */
     uint32_t normal_texture;
     double normal_scale;
-    bool has_alpha; /* lets some light straight through */
+    bool backface_culling; /* from behind it is not there */
+    bool has_alpha;        /* lets some light straight through */
     double alpha;
     double alpha_cutoff; /* < 0: blends */
 };

@@ -92,11 +92,12 @@ static void aim(const struct render_scene *scene, struct grid_rect rect, uint64_
 static void pass(const struct render_scene *scene, struct render_scratch *w, uint32_t slot)
 {
     for (uint32_t passes = 0; passes < WAVE_PASSES_MAX; passes++) {
-        if (w->hits[slot].object == SCENE_NONE || shade_opacity(scene, &w->hits[slot]) >= 0.5)
+        vec3 dir = v3_of(w->rays[slot].dir);
+        if (w->hits[slot].object == SCENE_NONE || shade_opacity(scene, &w->hits[slot], dir) >= 0.5)
             return;
         struct surface s;
         surface_of_hit(scene, &w->hits[slot], &s);
-        v3_put(w->rays[slot].org, surface_offset(s.p, s.ng, s.error, v3_of(w->rays[slot].dir)));
+        v3_put(w->rays[slot].org, surface_offset(s.p, s.ng, s.error, dir));
         accel_closest(scene->accel, &w->rays[slot], &w->hits[slot]);
         w->ray_count++;
     }

@@ -69,17 +69,18 @@ static void look_up_principled(const struct render_scene *scene, const struct ma
     }
 }
 
-double shade_opacity(const struct render_scene *scene, const struct hit *hit)
+double shade_opacity(const struct render_scene *scene, const struct hit *hit, vec3 dir)
 {
     const struct material *m = &scene->materials[scene->objects[hit->object].material];
+    bool textured = m->has_alpha && m->texture != SCENE_NONE;
+    struct surface s;
+    if (m->backface_culling || textured)
+        surface_of_hit(scene, hit, &s);
+    if (m->backface_culling && v3_dot(s.ng, dir) > 0)
+        return 0;
     if (!m->has_alpha)
         return 1;
-    double alpha = 1;
-    if (m->texture != SCENE_NONE) {
-        struct surface s;
-        surface_of_hit(scene, hit, &s);
-        alpha = texture_alpha(&scene->textures[m->texture], s.u, s.v);
-    }
+    double alpha = textured ? texture_alpha(&scene->textures[m->texture], s.u, s.v) : 1;
     if (m->vertex_colors)
         alpha *= surface_vertex_alpha(scene, hit);
     return material_opacity(m, alpha);

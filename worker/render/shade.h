@@ -18,8 +18,8 @@ struct shade {
     double tilt_alpha2; /* roughness that goes with that tilt, squared; 0: none */
 };
 
-/* How opaque the surface is at a hit, 0 to 1. */
-double shade_opacity(const struct render_scene *scene, const struct hit *hit);
+/* How opaque the surface is at a hit, 0 to 1, to a ray of direction `dir`, of any length. */
+double shade_opacity(const struct render_scene *scene, const struct hit *hit, vec3 dir);
 
 /* `dir` is the unit direction of the ray that hit. `footprint` is what it stands for there, NULL
  * for a point; only scene->has_filtered makes a difference. */

@@ -28,7 +28,7 @@ static bool pass_ray(const struct render_scene *scene, struct render_scratch *w,
     struct path *path = &w->paths[w->active[i]];
     if (w->hits[i].object == SCENE_NONE)
         return false;
-    double opacity = shade_opacity(scene, &w->hits[i]);
+    double opacity = shade_opacity(scene, &w->hits[i], v3_of(w->rays[i].dir));
     if (!(opacity < 1) || path->asked >= WAVE_PASSES_MAX)
         return false;
     double u[SAMPLER_SET_VALUES] = {0};
@@ -144,7 +144,7 @@ static bool dim_shadow(const struct render_scene *scene, struct render_scratch *
         w->occluded[i] = 0;
         return false;
     }
-    w->shadow_left[i] *= 1 - shade_opacity(scene, hit);
+    w->shadow_left[i] *= 1 - shade_opacity(scene, hit, v3_of(ray->dir));
     if (!(w->shadow_left[i] > 0))
         return false;
     pass_through(scene, hit, ray, isinf(ray->tmax) ? NULL : w->shadow_end[i]);

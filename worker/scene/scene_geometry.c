@@ -387,7 +387,8 @@ static void add_material_emission(const struct scene *scene, const struct scene_
     if (o->type == SCENE_OBJECT_MESH && !o->emits && scene->meshes[o->mesh].uvs)
         out->emission_texture = m->emission_texture;
     out->emission_colors = reads_emission_colors(scene, o);
-    out->emission_twosided = o->type == SCENE_OBJECT_MESH && !o->emits && m->emission_twosided;
+    out->emission_twosided =
+        o->type == SCENE_OBJECT_MESH && !o->emits && m->emission_twosided && !m->backface_culling;
 }
 
 static enum err build_object(struct render_scene *rs, const struct scene *scene,

@@ -74,6 +74,7 @@ static void make_principled(const struct scene_material *from, struct material *
     out->normal_scale = from->normal_scale;
     out->alpha = from->alpha;
     out->alpha_cutoff = from->alpha_cutoff;
+    out->backface_culling = from->type == SCENE_MATERIAL_PRINCIPLED && from->backface_culling;
     out->has_alpha = from->alpha_used && (from->texture != SCENE_NONE || from->alpha < 1);
     if (from->type == SCENE_MATERIAL_PRINCIPLED && rgb_max(out->sheen_color) > 0)
         principled_prepare(out);
@@ -176,7 +177,8 @@ enum err scene_build_materials(struct render_scene *rs, const struct scene *scen
         if (material == SCENE_NONE || scene_object_is_nothing(scene, &scene->objects[i]))
             continue;
         rs->materials[material].has_alpha |= reads_alphas(scene, &scene->objects[i]);
-        rs->has_alpha |= rs->materials[material].has_alpha;
+        rs->has_alpha |=
+            rs->materials[material].has_alpha || rs->materials[material].backface_culling;
         rs->has_filtered |= rs->materials[material].filtered;
         enum scene_material_type type = rs->materials[material].type;
         rs->has_glass |= type == SCENE_MATERIAL_GLASS || type == SCENE_MATERIAL_REFRACTION;
