@@ -173,6 +173,8 @@ void http_get_events(struct request *r)
         request_error(r, ERR_NOMEM);
         return;
     }
+    /* Its end is that of the connection: one that is ended makes room (http_streams_end_one). */
+    (void)MHD_add_response_header(response, "Connection", "close");
     s->next = r->http->streams;
     if (s->next)
         s->next->previous = s;

@@ -694,6 +694,8 @@ def test_strangers_keep_nobody_out(tmp_path, said):
             for i in range(1300):
                 idle.append(socket.create_connection((host, int(port)), timeout=10))
                 idle[-1].sendall(said[i % len(said)])
+                if b"events" in said[0]:
+                    assert idle[-1].recv(1), "it listens"
             begin = time.monotonic()
             for _ in range(3):
                 for s in idle:
