@@ -137,7 +137,8 @@ static inline f8 box_of(const struct bvh_ref *r)
 {
     const f4 sign = _mm_set1_ps(-0.0f);
     const f4 keep = _mm_castsi128_ps(_mm_setr_epi32(-1, -1, -1, 0));
-    f8 box = f8_and(f8_load(r->lo), f8_of(keep, keep));
+    const void *whole = r; /* eight lanes: corners, and the numbers beside them */
+    f8 box = f8_and(f8_load(whole), f8_of(keep, keep));
     return f8_xor(box, f8_of(_mm_setzero_ps(), sign));
 }
 
