@@ -179,12 +179,14 @@ struct sim_config sim_config_of(uint64_t seed)
 static void fault_on_job(struct sim *sim)
 {
     static const enum sched_event_type types[] = {
-        SCHED_JOB_PAUSE,  SCHED_JOB_RESUME, SCHED_JOB_CANCEL,  SCHED_JOB_RETRY,
-        SCHED_JOB_RESUME, SCHED_JOB_RETRY,  SCHED_JOB_PRIORITY};
+        SCHED_JOB_PAUSE,  SCHED_JOB_RESUME, SCHED_JOB_CANCEL,   SCHED_JOB_RETRY,
+        SCHED_JOB_RESUME, SCHED_JOB_RETRY,  SCHED_JOB_PRIORITY, SCHED_JOB_HOLD};
     struct sched_event e = {.type = types[sim_below(sim, sizeof types / sizeof *types)],
                             .job = 1 + sim_below(sim, sim->c.jobs)};
     if (e.type == SCHED_JOB_PRIORITY)
         e.priority = (int32_t)sim_below(sim, 3) - 1;
+    if (e.type == SCHED_JOB_HOLD)
+        e.hold = sim_chance(sim, 0.5);
     if (e.type == SCHED_JOB_RETRY)
         master_retry(sim, e.job);
     else
@@ -243,6 +245,7 @@ static void operate(struct sim *sim)
 {
     for (uint32_t i = 0; i < sim->c.jobs && sim->m.alive; i++) {
         master_feed(sim, &(struct sched_event){.type = SCHED_JOB_RESUME, .job = i + 1});
+        master_feed(sim, &(struct sched_event){.type = SCHED_JOB_HOLD, .job = i + 1});
         if (!job_ended(sim, i))
             master_retry(sim, i + 1);
     }
