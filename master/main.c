@@ -97,7 +97,7 @@ int main(int argc, char **argv)
     if (options.no_sync)
         durable_forgo();
     raise_file_limit();
-    if (uv_loop_init(&p.loop) != 0)
+    if (uv_loop_init(&p.loop) != 0 || transport_start_pool(&p.loop) != ERR_OK)
         return err_exit_status(ERR_NOMEM);
     watch_signals(&p);
     enum err e = start(&p, &options);

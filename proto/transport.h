@@ -55,6 +55,11 @@ TL_NODISCARD enum err transport_new(struct uv_loop_s *loop, struct transport **o
  * from later turns of the loop; the transport frees itself after that. */
 void transport_close(struct transport *t, void (*done)(void *ctx), void *ctx);
 
+/* libuv starts its threads with the first work, in the midst of things, and aborts where it cannot
+ * have them. This starts them now, at the start of a program, and has as many before: glibc keeps
+ * the memory of threads that have ended for the next. ERR_NOMEM: there is no room for them. */
+TL_NODISCARD enum err transport_start_pool(struct uv_loop_s *loop);
+
 /* Where a bound TCP socket is, as "127.0.0.1:7000"; false: it is none. */
 bool transport_socket_address(int fd, char *out, size_t bytes);
 

@@ -415,6 +415,9 @@ int main(int argc, char **argv)
         return status;
     if (uv_loop_init(&p.loop) < 0)
         return fail("cannot make an event loop", ERR_IO);
+    e = transport_start_pool(&p.loop);
+    if (e != ERR_OK)
+        return fail("cannot start the threads of the event loop", e);
     e = chunk_cache_new(p.cache_folder, p.cache_mib * MIB, &p.cache);
     if (e != ERR_OK)
         return p.cache_folder ? fail_folder(p.cache_folder, e) : fail("chunk cache", e);
