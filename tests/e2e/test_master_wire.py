@@ -831,7 +831,8 @@ def test_strangers_have_64_kib(farm):
                 assert stranger.recv(1 << 16)[:2] in (b"", b"TL")  # a Refuse, or nothing
             except ConnectionError:
                 pass
-    assert resident() - before < 8 << 20
+    # A sanitizer keeps what was freed for a while.
+    assert resident() - before < (8 << 20 if SLOW == 1 else 128 << 20)
     Scripted(farm).welcome()
 
 
