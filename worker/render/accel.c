@@ -102,6 +102,12 @@ static void tree_measure(const struct bvh_ref *refs, size_t count,
 
 /* --- Building ------------------------------------------------------------- */
 
+static inline void triangle_ask(const struct accel_mesh *m, uint32_t triangle)
+{
+    for (size_t i = 0; i < 3; i++)
+        __builtin_prefetch(&m->positions[3 * (size_t)m->indices[3 * (size_t)triangle + i]]);
+}
+
 static void scene_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
 {
     const struct accel *a = ctx;
@@ -117,9 +123,16 @@ static void scene_indices(void *ctx, const struct bvh_ref *ref, uint32_t out[3])
     memcpy(out, &a->meshes[o->mesh].indices[3 * triangle], 3 * sizeof *out);
 }
 
+static void scene_ask(void *ctx, const struct bvh_ref *ref)
+{
+    const struct accel *a = ctx;
+    const struct accel_object *o = &a->objects[ref->owner];
+    triangle_ask(&a->meshes[o->mesh], ref->primitive - a->triangle_first[ref->owner]);
+}
+
 struct bvh_source accel_scene_source(const struct accel *a)
 {
-    return (struct bvh_source){scene_vertices, scene_indices, (void *)a};
+    return (struct bvh_source){scene_vertices, scene_indices, scene_ask, (void *)a};
 }
 
 static void mesh_indices(void *ctx, const struct bvh_ref *ref, uint32_t out[3])
@@ -133,6 +146,12 @@ static void mesh_vertices(void *ctx, const struct bvh_ref *ref, float out[3][4])
 {
     const struct accel *a = ctx;
     triangle_vertices(&a->meshes[ref->owner], ref->primitive, out);
+}
+
+static void mesh_ask(void *ctx, const struct bvh_ref *ref)
+{
+    const struct accel *a = ctx;
+    triangle_ask(&a->meshes[ref->owner], ref->primitive);
 }
 
 /* References to the triangles of one mesh, made on all threads. */
@@ -200,7 +219,7 @@ static enum err mesh_tree_build(struct accel *a, uint32_t mesh, const struct acc
     if (!refs)
         return ERR_NOMEM;
     size_t count = mesh_refs(m, 0, mesh, runner, refs);
-    struct bvh_source source = {mesh_vertices, mesh_indices, a};
+    struct bvh_source source = {mesh_vertices, mesh_indices, mesh_ask, a};
     return tree_build(a, refs, count, runner, &source, &a->mesh_trees[mesh]);
 }
 

@@ -87,6 +87,8 @@ struct bvh_source {
     void (*vertices)(void *ctx, const struct bvh_ref *ref, float out[3][4]);
     /* The numbers of the vertices in their mesh. */
     void (*indices)(void *ctx, const struct bvh_ref *ref, uint32_t out[3]);
+    /* Asks for the memory that `vertices` is going to read. */
+    void (*ask)(void *ctx, const struct bvh_ref *ref);
     void *ctx;
 };
 

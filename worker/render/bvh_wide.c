@@ -242,7 +242,7 @@ struct writer {
     uint32_t edge_bits; /* of edge_unit */
 };
 
-enum { PLANS_PER_TASK = 1024 };
+enum { PLANS_PER_TASK = 1024, PLANS_AHEAD = 4 };
 enum { EDGE_CODES = 256, EDGE_SHIFT = 20 /* three bits of mantissa */ };
 
 static float float_of(uint32_t bits)
@@ -389,12 +389,29 @@ static uint32_t edge_unit_bits(float edge)
     return bits > span + smallest ? bits - span : smallest;
 }
 
+/* The vertices of a node's leaves lie where the mesh has them: asked for before they are wanted. */
+static void ask_for_leaves(const struct writer *w, const struct plan *plan)
+{
+    for (uint32_t i = 0; i < plan->count; i++) {
+        const struct bvh2_node *child = &w->planner->nodes[plan->child[i]];
+        if ((plan->offset[i] & 3) != BVH_LEAF)
+            continue;
+        const struct bvh_ref *refs = &w->planner->refs[child->left & ~BVH2_LEAF];
+        for (uint32_t lane = 0; lane < child->right; lane++)
+            w->source->ask(w->source->ctx, &refs[lane]);
+    }
+}
+
 static void write_some(void *arg, size_t index)
 {
     const struct writer *w = arg;
     size_t begin = index * PLANS_PER_TASK, end = begin + PLANS_PER_TASK;
-    for (size_t i = begin; i < end && i < w->planner->count; i++)
+    end = end < w->planner->count ? end : w->planner->count;
+    for (size_t i = begin; i < end; i++) {
+        if (i + PLANS_AHEAD < end)
+            ask_for_leaves(w, &w->planner->plans[i + PLANS_AHEAD]);
         write_node(w, &w->planner->plans[i]);
+    }
 }
 
 /* Takes the units of a planned tree from the place and moves its references there. */
