@@ -30,13 +30,13 @@ static const double STATED_SPREAD = 0.12;
  * (job_plan.c), and the rest takes most of that; deviation in seconds and of the logarithm (limits
  * of 2 s took 1.56 to 1.76 s, of 10 s 9.6 to 10.9 s). */
 static const double SPP_LEAST = 4, LIMIT_EARLY_S = 0.3, LIMIT_SPREAD_S = 0.1, LIMIT_SPREAD = 0.03;
-static const double PIVOT_SPP = 16, TARGET_PILOT_SPP = 4;
-/* A claim, as claim.c makes it: its upper bound, of so many deviations, must be under the
- * target; none is made while the deviation is more than the root of 1 / 8. Looks come in steps, so
- * that the error is a little less than that asks for, and where it falls steeply more so.
+static const double PIVOT_SPP = 16, TARGET_PILOT_SPP = 2;
+/* A claim, as claim.c makes it: its upper bound, of so many deviations and a doubt, must be under
+ * the target; none is made while the deviation is more than the root of 1 / 8. Looks come in steps,
+ * so that the error is a little less than that asks for, and where it falls steeply more so.
  * Measured. */
-static const double CLAIM_QUANTILE = 2.3, CLAIM_EFFECTIVE_MIN = 8;
-static const double CLAIM_STEP = 1.05, CLAIM_SPREAD = 0.2;
+static const double CLAIM_QUANTILE = 2.3, CLAIM_DOUBT = 0.1, CLAIM_EFFECTIVE_MIN = 8;
+static const double CLAIM_STEP = 1.03, CLAIM_SPREAD = 0.2;
 static const double STEEP_POWER = 1.2, STEEP_STEP = 0.3;
 /* 512 x 512 pixels: more would tell no more of cost and error a pixel. */
 static const double PILOT_PIXELS_MAX = 512.0 * 512.0;
@@ -188,7 +188,7 @@ static double stated_deviation(const struct pilots *p, const struct error_fit *e
 /* How far below the target the error must be, on average. */
 static double claim_of(const struct pilots *p, const struct error_fit *error)
 {
-    return CLAIM_STEP * exp(CLAIM_QUANTILE * stated_deviation(p, error));
+    return CLAIM_STEP * exp(hypot(CLAIM_QUANTILE * stated_deviation(p, error), CLAIM_DOUBT));
 }
 
 /* Where a render to a target ends. */

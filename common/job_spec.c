@@ -342,10 +342,12 @@ struct job_blocks job_blocks_of(uint64_t spp)
     return (struct job_blocks){.count = spp == 1 ? 1 : 2 * (uint32_t)per_half, .spp = spp};
 }
 
-/* The pilot: two pairs of blocks, so that its first says soon how fast it goes. To an error the
- * first pair is enough: 4 samples allocate nearly as well as 16, and are dropped all the same. A
- * plan has room for both. */
-enum { PILOT_BLOCKS = 4, PILOT_FIRST = 2, PILOT_HALF = 8 };
+/* The pilot: pairs of blocks, so that its first say soon how fast it goes. To an error the first
+ * pair is enough: 2 samples allocate nearly as well as 16, and are dropped all the same. Where
+ * there is no room for more than 4 samples, the first two. A plan has room for all. */
+enum { PILOT_PAIRS = 3, PILOT_PAIRS_SHORT = 2 };
+/* Samples of a half after so many blocks of the pilot. */
+static const uint64_t pilot_half[PILOT_PAIRS + 1] = {0, 1, 2, 8};
 
 uint64_t job_ladder(uint32_t blocks)
 {
@@ -362,8 +364,10 @@ struct job_blocks job_spec_blocks(const struct job_spec *s)
     if (s->stop == JOB_STOP_SPP)
         return job_blocks_of(s->spp);
     TL_ASSERT(s->spp >= JOB_ADAPTIVE_SPP_MIN && s->spp <= JOB_ADAPTIVE_SPP_MAX);
-    bool short_pilot = s->stop == JOB_STOP_ERROR || s->spp < 2 * PILOT_HALF;
-    struct job_blocks b = {.spp = s->spp, .pilot = short_pilot ? 2 : PILOT_BLOCKS};
+    uint32_t pairs = s->stop == JOB_STOP_ERROR              ? 1
+                     : s->spp < 2 * pilot_half[PILOT_PAIRS] ? PILOT_PAIRS_SHORT
+                                                            : PILOT_PAIRS;
+    struct job_blocks b = {.spp = s->spp, .pilot = 2 * pairs};
     uint32_t per_half = 1;
     while (2 * job_ladder(per_half + 1) <= s->spp)
         per_half++;
@@ -376,8 +380,8 @@ static struct job_block growing_block(const struct job_blocks *b, uint32_t block
 {
     struct job_block out = {.half = block & 1, .pilot = block < b->pilot};
     uint32_t position = (out.pilot ? block : block - b->pilot) / 2;
-    out.begin = out.pilot ? (uint64_t)PILOT_FIRST * position : job_ladder(position);
-    uint64_t end = out.pilot ? (position ? PILOT_HALF : PILOT_FIRST) : job_ladder(position + 1);
+    out.begin = out.pilot ? pilot_half[position] : job_ladder(position);
+    uint64_t end = out.pilot ? pilot_half[position + 1] : job_ladder(position + 1);
     out.count = end - out.begin;
     return out;
 }
@@ -405,7 +409,7 @@ uint64_t job_blocks_samples(const struct job_blocks *b, uint32_t blocks)
 
 uint64_t job_pilot_samples(const struct job_blocks *b)
 {
-    return b->pilot == 0 ? 0 : b->pilot == 2 ? 2 * PILOT_FIRST : 2 * PILOT_HALF;
+    return 2 * pilot_half[b->pilot / 2];
 }
 
 uint64_t job_sample_number(uint32_t half, uint64_t index)

@@ -159,8 +159,8 @@ struct job_block job_block_at(const struct job_blocks *b, uint32_t block);
 
 /* Where samples differ from square to square the blocks grow: a half has 2, 4, 6, 8, 10, 12, 14,
  * 16, 20, 24, 28, 32, 40, ... samples after its blocks 0, 1, 2, ..., four steps to an octave. The
- * first blocks are the pilot's (2 + 2 samples, and 6 + 6 more where a time decides), with sequences
- * of its own. A cell gets the pilot and then as many of the blocks as the plan says. */
+ * first blocks are the pilot's (1 + 1 samples; 1 + 1 and 6 + 6 more where a time decides), with
+ * sequences of its own. A cell gets the pilot and then as many of the blocks as the plan says. */
 struct job_blocks job_spec_blocks(const struct job_spec *s);
 
 /* Samples of a half after its first `blocks` blocks of the estimate: 0, 2, 4, ... */

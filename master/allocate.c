@@ -5,10 +5,13 @@
 #include "common/dmath.h"
 
 /* Of the mean share: less would trust a pilot that may have missed spikes. */
-static const double SHARE_MIN = 0.25;
+static const double SHARE_MIN = 0.125;
 /* 1 / (1 + p) is best where variance falls as 1 / samples^p; p is 1 to 1.9, and a power below one
  * half trusts a pilot of few samples less besides. */
 static const double SHARE_POWER = 0.4;
+
+/* What the neighbours say of a cell is worth so many of its pixels. */
+static const double NEAR_WORTH = 2;
 
 static double cell_pixels(const struct grid *grid, uint32_t cell)
 {
@@ -44,14 +47,24 @@ static double around(const struct grid *grid, const float *by_place, uint32_t pl
     return count > 0 ? sum / count : (double)by_place[place];
 }
 
-void allocate_shares(const struct grid *grid, const double *terms, float *shares, float *scratch)
+/* Belief in a cell's own measure: e pixels, all alike, would carry its error as surely. */
+static double own_belief(double term, double square)
+{
+    double e = square > 0 ? term * term / square : 0;
+    return e / (e + NEAR_WORTH);
+}
+
+void allocate_shares(const struct grid *grid, const double *terms, const double *squares,
+                     float *shares, float *scratch)
 {
     for (uint32_t cell = 0; cell < grid->cell_count; cell++)
         scratch[grid->order[cell]] =
             (float)dmath_pow(terms[cell] / cell_pixels(grid, cell), SHARE_POWER);
     for (uint32_t cell = 0; cell < grid->cell_count; cell++) {
         uint32_t place = grid->order[cell];
-        shares[cell] = (float)(0.5 * ((double)scratch[place] + around(grid, scratch, place)));
+        double own = own_belief(terms[cell], squares[cell]);
+        shares[cell] =
+            (float)(own * (double)scratch[place] + (1 - own) * around(grid, scratch, place));
     }
     normalise(grid, shares);
     for (uint32_t cell = 0; cell < grid->cell_count; cell++)

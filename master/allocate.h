@@ -14,11 +14,13 @@
 
 #include "common/grid.h"
 
-/* `terms` is each cell's sum of the pixels' terms of relMSE over the pilot. Fills `shares`: samples
- * of the cell's pixels over the picture's mean. A cell's own measure is noisy and blind to
- * spikes that the pilot missed: half of it is its neighbours', and none gets less than a
- * quarter of the mean. `scratch` has cell_count places. */
-void allocate_shares(const struct grid *grid, const double *terms, float *shares, float *scratch);
+/* `terms` is each cell's sum of the pixels' terms of relMSE over the pilot, `squares` that of their
+ * squares. Fills `shares`: samples of the cell's pixels over the picture's mean. A cell whose error
+ * few pixels carry is measured badly, and may have spikes that the pilot missed: the more so, the
+ * more of its share is its neighbours' mean; and none gets less than an eighth of the picture's.
+ * `scratch` has cell_count places. */
+void allocate_shares(const struct grid *grid, const double *terms, const double *squares,
+                     float *shares, float *scratch);
 
 /* Blocks of each cell for `mean_spp` samples a pixel on average, the pilot's not counted, and at
  * least `spp_min`. False: all cells are at the job's end already. */

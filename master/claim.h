@@ -2,15 +2,17 @@
  * goes on until then. The rule alone: job_plan.c feeds it finished pictures, and
  * tests/campaign/claim_replay.c feeds it stored samples of many seeds, by which it was tuned.
  *
- *   upper = relMSE exp(QUANTILE s)       s: the estimate's relative deviation
+ *   upper = relMSE exp(sqrt((QUANTILE s)^2 + DOUBT^2))     s: the estimate's relative deviation
  *   claim: upper <= target, and an effective size of at least CLAIM_EFFECTIVE_MIN
  *   next look: samples times (1.02 upper / target)^(1 / NEXT_POWER), within bounds
  *
  * The estimate scatters by s, and so does the true error of this very picture; both are sums of few
  * squares, hence skewed, and their logarithms nearly normal. Were they independent the ratio would
  * scatter by sqrt(2) s; rare hits raise both, so that it is 1.2 s on average (docs/ERROR.md, where
- * QUANTILE's choice is, too). Two-phase with fresh samples after Stein (1945); looks at geometric
- * steps. Pure: the same answers on every machine (dmath.h); no allocation.
+ * QUANTILE's choice is, too). In large pictures s is small, and what is left is by how much the
+ * estimate is off in a scene, whatever the seed: DOUBT. Two-phase with fresh samples after Stein
+ * (1945); looks at geometric steps. Pure: the same answers on every machine (dmath.h); no
+ * allocation.
  *
  * Tests: tests/unit/test_claim.c, tests/e2e/test_e2e_adaptive.py, tests/campaign/claims.py.
  */
@@ -33,5 +35,10 @@ double claim_first(const struct grid *grid, const struct job_blocks *blocks, con
 
 /* By how much the samples grow, > 1, after a look at which no claim stood. */
 double claim_growth(const struct film_error *e, double target);
+
+/* Grows `mean_spp` and by it `limits` after such a look, until a cell has more. False: all cells
+ * are at the job's end, and nothing changed. */
+bool claim_more(const struct grid *grid, const struct job_blocks *blocks, const float *shares,
+                const struct film_error *e, double target, double *mean_spp, uint16_t *limits);
 
 #endif

@@ -137,7 +137,7 @@ static enum err plan_take(struct job *job, const unsigned char *data)
     memcpy(p->shares, data + sizeof head + cells * sizeof *p->limits, cells * sizeof *p->shares);
     for (uint32_t cell = 0; cell < cells; cell++)
         if (p->limits[cell] == 0 || p->limits[cell] > job->blocks.count ||
-            !isfinite(p->shares[cell]))
+            !(p->shares[cell] > 0 && isfinite(p->shares[cell])))
             return ERR_CORRUPT;
     p->begun = head.begun;
     p->sealed = head.sealed;
@@ -218,10 +218,11 @@ struct judgement {
     const struct film *film;
     const struct grid *grid;
     struct film_error error;
-    double *terms; /* per cell; NULL: not wanted */
+    double *terms, *squares; /* of each cell, one allocation; NULL: not wanted */
     bool failed;
 };
 
+/* Of each cell: the sum of its pixels' terms, and that of their squares. */
 static void sum_terms(struct judgement *w)
 {
     const struct job_crop *crop = &w->grid->crop;
@@ -229,10 +230,14 @@ static void sum_terms(struct judgement *w)
     w->failed = !pixels || !film_error_pixels(w->film, pixels);
     for (uint32_t cell = 0; !w->failed && cell < w->grid->cell_count; cell++) {
         struct grid_rect r = grid_cell(w->grid, cell);
-        w->terms[cell] = 0;
-        for (uint32_t y = r.y - crop->y; y < r.y - crop->y + r.height; y++)
-            for (uint32_t x = r.x - crop->x; x < r.x - crop->x + r.width; x++)
-                w->terms[cell] += (double)pixels[(size_t)y * crop->width + x];
+        w->terms[cell] = w->squares[cell] = 0;
+        for (uint32_t y = r.y - crop->y; y < r.y - crop->y + r.height; y++) {
+            for (uint32_t x = r.x - crop->x; x < r.x - crop->x + r.width; x++) {
+                double term = (double)pixels[(size_t)y * crop->width + x];
+                w->terms[cell] += term;
+                w->squares[cell] += term * term;
+            }
+        }
     }
     mem_free(pixels);
 }
@@ -246,14 +251,14 @@ static void judge_run(uv_work_t *request)
 }
 
 /* The pilot's proportions. False: out of memory. */
-static bool take_shares(struct job *job, const double *terms)
+static bool take_shares(struct job *job, const struct judgement *w)
 {
     struct job_plan *p = job->plan;
     float *scratch = mem_alloc_array(job->grid.cell_count, sizeof *scratch);
     if (!scratch)
         return false;
-    allocate_shares(&job->grid, terms, p->shares, scratch);
-    p->gain = allocate_gain(&job->grid, terms, p->shares);
+    allocate_shares(&job->grid, w->terms, w->squares, p->shares, scratch);
+    p->gain = allocate_gain(&job->grid, w->terms, p->shares);
     mem_free(scratch);
     return true;
 }
@@ -285,15 +290,9 @@ static void look_again(struct job *job, const struct judgement *w)
         seal(p, JOB_END_ERROR);
         return;
     }
-    bool more = false;
-    for (uint32_t cell = 0; cell < job->grid.cell_count; cell++)
-        more |= p->limits[cell] < job->blocks.count;
-    if (!more) {
+    if (!claim_more(&job->grid, &job->blocks, p->shares, &w->error, target, &p->mean_spp,
+                    p->limits))
         seal(p, JOB_END_MAX_SPP);
-        return;
-    }
-    p->mean_spp *= claim_growth(&w->error, target);
-    (void)allocate_limits(&job->grid, &job->blocks, p->shares, p->mean_spp, 0, p->limits);
 }
 
 static void judge_after(uv_work_t *request, int status)
@@ -306,7 +305,7 @@ static void judge_after(uv_work_t *request, int status)
     p->judging = false;
     job_film_let_go(f, job);
     bool ended = job_state_ended(job->rec.state) || f->stopping || status != 0;
-    bool failed = w->failed || (w->terms && !w->failed && !take_shares(job, w->terms));
+    bool failed = w->failed || (w->terms && !w->failed && !take_shares(job, w));
     if (!ended && failed) {
         jobs_fail(f, job, err_text(ERR_NOMEM));
     } else if (!ended) {
@@ -341,8 +340,10 @@ static void judge(struct farm *f, struct job *job)
         return;
     }
     *w = (struct judgement){.farm = f, .job = job->rec.id, .film = job->film, .grid = &job->grid};
-    if (!job->plan->begun)
-        w->terms = mem_calloc(job->grid.cell_count, sizeof *w->terms);
+    if (!job->plan->begun) {
+        w->terms = mem_calloc(2 * (size_t)job->grid.cell_count, sizeof *w->terms);
+        w->squares = w->terms ? w->terms + job->grid.cell_count : NULL;
+    }
     w->request.data = w;
     bool ready = job->plan->begun || w->terms;
     job_film_hold(job);
@@ -424,10 +425,10 @@ static double cut_s(const struct job *job)
     return reserve < 0.5 * limit ? limit - reserve : 0.5 * limit;
 }
 
-/* No cell stays without samples of both halves. */
+/* No cell stays with less than four samples. */
 static uint16_t least_limit(const struct job *job)
 {
-    return job->plan->pilot == FILM_PILOT_KEPT ? 2 : (uint16_t)(job->blocks.pilot + 2);
+    return job->plan->pilot == FILM_PILOT_KEPT ? 4 : (uint16_t)(job->blocks.pilot + 2);
 }
 
 static void cut(struct farm *f, struct job *job)

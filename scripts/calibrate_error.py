@@ -170,7 +170,7 @@ def constant(name):
     return float(re.search(rf"\b{name} = ([0-9.]+)", RULE).group(1))
 
 
-QUANTILE, EFFECTIVE_MIN = constant("QUANTILE"), constant("CLAIM_EFFECTIVE_MIN")
+QUANTILE, DOUBT, EFFECTIVE_MIN = constant("QUANTILE"), constant("DOUBT"), constant("CLAIM_EFFECTIVE_MIN")
 FIRST_POWER, NEXT_POWER = constant("FIRST_POWER"), constant("NEXT_POWER")
 GROWTH_MIN, GROWTH_MAX = constant("GROWTH_MIN"), constant("GROWTH_MAX")
 GROWTH_MARGIN, HEAVY_GROWTH = constant("GROWTH_MARGIN"), constant("HEAVY_GROWTH")
@@ -186,14 +186,14 @@ def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
     def halves(spp):
         return random.standard_normal((2, groups, freedom)) * deviation * math.sqrt(spp / 2)
 
-    a, b = halves(4)
-    spp = 4 * (((a - b) ** 2).mean() / 16 / aim) ** (1 / FIRST_POWER)
+    a, b = halves(2)
+    spp = 2 * (((a - b) ** 2).mean() / 4 / aim) ** (1 / FIRST_POWER)
     sums = halves(spp)
     while spp < 20 / aim:
         a, b = sums / (spp / 2)
         terms = (a - b) ** 2 / 4
         effective = terms.sum() ** 2 / (terms ** 2).sum()
-        upper = terms.mean() * math.exp(QUANTILE / math.sqrt(effective))
+        upper = terms.mean() * math.exp(math.hypot(QUANTILE / math.sqrt(effective), DOUBT))
         heavy = effective < EFFECTIVE_MIN
         if upper <= aim and not heavy:
             return spp, (((a + b) / 2) ** 2).mean()

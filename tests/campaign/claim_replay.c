@@ -1,7 +1,7 @@
 /* tests/campaign/claim_replay.c: what --target-error would have done, on the stored samples of many
  * seeds of a scene (claim_samples), with the master's own film, estimate, allocation and rule.
  *
- * usage: claim_replay SPP[,SPP...] FILE...
+ * usage: claim_replay [--errors] SPP[,SPP...] FILE...      --errors: the stated errors alone
  *
  * A job's samples are a function of pixel, seed, half and number, so a replay draws the very ones
  * that a job would have. Each seed is judged by all others: they are two references, and the
@@ -10,14 +10,15 @@
  * For each file and SPP the target E is the scene's mean error at SPP equal samples. Lines:
  *   error  | scene | spp | true | stated over true, +- its standard error | heavy tails of seeds |
  *   target | scene | E | claims that held of claims of seeds | true over E, median | samples with
- * the pilot | work | of that allocation | looks | effective size, median |
+ * the pilot | work | of that pilot | allocation | the rest | looks | effective size, median |
  *
  * Work is the samples over those of a perfect allocation, which knows the variance of every square:
  * V(n) = c n^-p, c of the square and p of the picture fitted to the seeds' mean errors at every
  * step from 16 samples on; it gives each square samples in proportion to c^(1 / (1 + p)), so many
- * that the sum of V is E. "Of that allocation" is the samples of the job's plan over the perfect
- * one's for the error that V gives the plan. Scenes whose median effective size is under 32 (a
- * heavy tail, as the report says) are summed up apart.
+ * that the sum of V is E. Of that the pilot's part is all samples over the plan's, the allocation's
+ * those of the plan over the perfect one's for the error that V gives the plan; the rest is that
+ * the claim must be sure, and the steps of the looks. Scenes whose median effective size is under
+ * 32 (a heavy tail, as the report says) are summed up apart.
  */
 #include <math.h>
 #include <stdio.h>
@@ -248,7 +249,7 @@ struct outcome {
     uint32_t looks;
     double spp, planned; /* with the pilot and without it */
     double true_error, stated, effective;
-    double efficiency; /* samples over the perfect allocation's for the error of V */
+    double efficiency; /* planned over the perfect allocation's for the error of V */
     bool heavy;
 };
 
@@ -284,7 +285,8 @@ static bool begin(const struct bench *b, struct film *f, double target, float *s
                   uint16_t *limits)
 {
     struct film_error e;
-    double *terms = need(mem_calloc(b->grid.cell_count, sizeof *terms));
+    double *terms = need(mem_calloc(2 * (size_t)b->grid.cell_count, sizeof *terms));
+    double *squares = terms + b->grid.cell_count;
     float *pixels = need(mem_alloc_array(b->pixels, sizeof *pixels));
     float *scratch = need(mem_alloc_array(b->grid.cell_count, sizeof *scratch));
     film_error_estimate(f, &e);
@@ -292,11 +294,15 @@ static bool begin(const struct bench *b, struct film *f, double target, float *s
         need(NULL);
     for (uint32_t cell = 0; cell < b->grid.cell_count; cell++) {
         struct grid_rect r = grid_cell(&b->grid, cell);
-        for (uint32_t y = r.y; y < r.y + r.height; y++)
-            for (uint32_t x = r.x; x < r.x + r.width; x++)
-                terms[cell] += (double)pixels[(size_t)y * b->spec.width + x];
+        for (uint32_t y = r.y; y < r.y + r.height; y++) {
+            for (uint32_t x = r.x; x < r.x + r.width; x++) {
+                double term = (double)pixels[(size_t)y * b->spec.width + x];
+                terms[cell] += term;
+                squares[cell] += term * term;
+            }
+        }
     }
-    allocate_shares(&b->grid, terms, shares, scratch);
+    allocate_shares(&b->grid, terms, squares, shares, scratch);
     bool enough = claim_stands(&e, target);
     if (!enough)
         *mean = claim_first(&b->grid, &b->blocks, terms, shares, target, limits);
@@ -330,13 +336,7 @@ static struct outcome replay(struct bench *b, uint32_t seed, double target)
         film_error_estimate(f, &e);
         o.looks++;
         o.claimed = claim_stands(&e, target);
-        more = false;
-        for (uint32_t cell = 0; cell < b->grid.cell_count; cell++)
-            more |= limits[cell] < b->blocks.count;
-        more &= !o.claimed;
-        mean *= more ? claim_growth(&e, target) : 1;
-        if (more)
-            (void)allocate_limits(&b->grid, &b->blocks, shares, mean, 0, limits);
+        more = !o.claimed && claim_more(&b->grid, &b->blocks, shares, &e, target, &mean, limits);
     }
     finish(b, f, limits, &o);
     o.spp = o.planned + (pilot ? 0 : (double)job_pilot_samples(&b->blocks));
@@ -363,22 +363,24 @@ static double median(double *v, uint32_t count)
 /* Over scenes and targets, those of heavy tails apart. */
 struct tally {
     uint32_t held, claims, runs, rows;
-    double log_work;
+    double log_work, log_pilot, log_allocation;
 };
 
 static void tally_print(const char *name, const struct tally *t)
 {
     if (t->rows > 0)
         printf("total  %s: %u of %u claims held (%.1f %%), %u runs; work %.2f (geometric mean of "
-               "%u)\n",
+               "%u), of it pilot %.2f, allocation %.2f\n",
                name, t->held, t->claims, 100.0 * t->held / (t->claims ? t->claims : 1), t->runs,
-               exp(t->log_work / t->rows), t->rows);
+               exp(t->log_work / t->rows), t->rows, exp(t->log_pilot / t->rows),
+               exp(t->log_allocation / t->rows));
 }
 
 static void row_target(struct bench *b, double target, struct tally *ordinary, struct tally *heavy)
 {
     struct tally t = {.runs = b->seeds, .rows = 1};
-    double ratio[SEEDS_MAX], effective[SEEDS_MAX], spp = 0, looks = 0, efficiency = 0;
+    double ratio[SEEDS_MAX], effective[SEEDS_MAX], spp = 0, planned = 0, looks = 0;
+    double efficiency = 0;
     for (uint32_t seed = 0; seed < b->seeds; seed++) {
         struct outcome o = replay(b, seed, target);
         if (o.claimed) {
@@ -387,20 +389,24 @@ static void row_target(struct bench *b, double target, struct tally *ordinary, s
         }
         effective[seed] = o.effective;
         spp += o.spp / b->seeds;
+        planned += o.planned / b->seeds;
         looks += (double)o.looks / b->seeds;
         efficiency += o.efficiency / b->seeds;
     }
     double work = spp / perfect(b, target), size = median(effective, b->seeds);
-    t.log_work = log(work);
+    double pilot = spp / planned;
     struct tally *to = size < FILM_EFFECTIVE_MIN ? heavy : ordinary;
     to->held += t.held;
     to->claims += t.claims;
     to->runs += t.runs;
     to->rows++;
-    to->log_work += t.log_work;
-    printf("target | %s | %.3g | %u of %u of %u | %.2f | %.0f | %.2f | %.2f | %.1f | %.0f |\n",
-           b->name, target, t.held, t.claims, t.runs, median(ratio, t.claims), spp, work,
-           efficiency, looks, size);
+    to->log_work += log(work);
+    to->log_pilot += log(pilot);
+    to->log_allocation += log(efficiency);
+    printf("target | %s | %.3g | %u of %u of %u | %.2f | %.0f | %.2f | %.2f | %.2f | %.2f | %.1f | "
+           "%.0f |\n",
+           b->name, target, t.held, t.claims, t.runs, median(ratio, t.claims), spp, work, pilot,
+           efficiency, work / pilot / efficiency, looks, size);
     (void)fflush(stdout);
 }
 
@@ -432,29 +438,33 @@ static void row_error(struct bench *b, uint32_t step)
     printf("error  | %s | %u | %.2e | %.3f +- %.3f | %u of %u |\n", b->name,
            (unsigned)step_spp(step), mean, ratio, sqrt(squares / (b->seeds - 1.0) / b->seeds),
            heavy, b->seeds);
+    (void)fflush(stdout);
 }
 
 int main(int argc, char **argv)
 {
     struct tally ordinary = {0}, heavy = {0};
-    if (argc < 3) {
-        fprintf(stderr, "usage: claim_replay SPP[,SPP...] FILE...\n");
+    bool errors = argc > 1 && strcmp(argv[1], "--errors") == 0;
+    int first = errors ? 2 : 1;
+    if (argc < first + 2) {
+        fprintf(stderr, "usage: claim_replay [--errors] SPP[,SPP...] FILE...\n");
         return 2;
     }
-    for (int k = 2; k < argc; k++) {
+    for (int k = first + 1; k < argc; k++) {
         struct bench b;
         bench_read(&b, argv[k]);
         if (b.grid.cell_count > GRID_SQUARE * GRID_SQUARE)
             fail(argv[k], "has more than 256 squares");
         measure(&b);
-        for (const char *at = argv[1]; at && *at;
+        for (const char *at = argv[first]; at && *at;
              at = strchr(at, ',') ? strchr(at, ',') + 1 : NULL) {
             uint64_t spp = strtoull(at, NULL, 10);
             uint32_t step = 0;
             while (step + 1 < b.steps && step_spp(step) < spp)
                 step++;
             row_error(&b, step);
-            row_target(&b, b.total[step], &ordinary, &heavy);
+            if (!errors)
+                row_target(&b, b.total[step], &ordinary, &heavy);
         }
         bench_release(&b);
     }

@@ -3,16 +3,17 @@
 and on others.
 
 usage: claims.py [--set tuned|others|known|FILE.json,...] [--size WxH] [--spp N] [--seeds N] [--first-seed N]
-                 [--targets SPP,...] [--keep DIR] [--quick]
+                 [--targets SPP,...] [--errors] [--keep DIR] [--quick]
 
 tuned:  the scenes by which the constants of master/film_error.c and master/claim.c were chosen: six of scenes/, two of
         tests/mitsuba/scenes, rooms 1 to 14 of claim_scenes.py.
-others: scenes that no constant was chosen by: seven of tests/mitsuba/scenes and rooms 15 to 28.
-known:  the eight cases of docs/ERROR.md's first tables.
+others: seven of tests/mitsuba/scenes and rooms 15 to 28, on which the pilot, the shares and the bound were chosen again.
+fresh:  rooms 29 to 42, by which no constant was chosen.
+known:  the eight cases of docs/ERROR.md's tables of the stated error.
 FILE.json: scenes of your own.
 
 claim_samples renders --seeds seeds of each scene once, up to --spp samples; claim_replay works out from them what jobs
-to a target would have done, by the master's own code. --keep DIR keeps the samples for the next time. --quick: two scenes of
+to a target would have done, by the master's own code (--errors: what pictures of equal samples state, alone). --keep DIR keeps the samples for the next time. --quick: two scenes of
 scenes/ in 48 x 32 pixels, and it is checked that stated errors are true and claims hold (a test of every commit).
 The programs are looked for in $TILERY_BIN, or in build/release/bin.
 """
@@ -46,6 +47,8 @@ def scenes_of(name, folder):
     if name == "others":
         names = ("cornell_area", "glass_sheets", "rough_glass", "spheres_uv", "textured_mesh", "thin_lens", "veach_plates")
         return [(n, MITSUBA / f"{n}.json", ()) for n in names] + rooms(folder, 15, 14)
+    if name == "fresh":
+        return rooms(folder, 29, 14)
     if name == "known":
         return [*own.values(), direct, ao]
     return [(pathlib.Path(path).stem, pathlib.Path(path), ()) for path in name.split(",")]
@@ -66,7 +69,7 @@ def sample(scene, folder, options):
 
 def replay(scenes, folder, options):
     files = [sample(scene, folder, options) for scene in scenes]
-    done = subprocess.run([BIN / "claim_replay", options.targets, *files], check=True, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run([BIN / "claim_replay", *(("--errors",) if options.errors else ()), options.targets, *files], check=True, stdout=subprocess.PIPE, text=True)
     return re.sub(rf"{re.escape(str(folder))}/([a-zA-Z0-9_]+)-\S*\.bin", r"`\1`", done.stdout)
 
 
@@ -90,6 +93,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--first-seed", type=int, default=1001)
     parser.add_argument("--targets", default="48,96", help="the errors of so many samples")
+    parser.add_argument("--errors", action="store_true")
     parser.add_argument("--keep")
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()

@@ -44,7 +44,7 @@ def test_target_error_says_what_it_did(golden):
     assert len(plan["spp"]) == 15 and len(set(plan["spp"])) > 1, "all squares got the same"
     assert min(plan["spp"]) == report["spp_min"] and max(plan["spp"]) == report["spp_max"]
     assert report["spp_mean"] == pytest.approx(sum(plan["spp"]) / 15)
-    pilot = 4 * 80 * 48 if plan["pilot"] == "dropped" else 0
+    pilot = 2 * 80 * 48 if plan["pilot"] == "dropped" else 0
     assert report["samples"] == sum(plan["spp"]) * 256 + pilot
 
 
@@ -68,11 +68,11 @@ def test_a_plan_repeats_the_bits(golden, tmp_path):
 
 
 def test_a_plan_repeats_a_kept_pilot(tmp_path):
-    """A pilot that is good enough is the picture, of 4 samples; its plan has the same bits."""
+    """A pilot that is good enough is the picture, of 2 samples; its plan has the same bits."""
     size = ("--size", "48x32")
     report, _ = render(tmp_path, "m", *size, "--target-error", 50)
     assert report["stopped_by"] == "error" and report["plan"]["pilot"] == "kept"
-    assert report["plan"]["spp"] == [4] * 6 and report["samples"] == 4 * 48 * 32
+    assert report["plan"]["spp"] == [2] * 6 and report["samples"] == 2 * 48 * 32
     again, _ = render(tmp_path, "n", *size, "--plan", tmp_path / "m.json")
     assert again["image_sha256"] == report["image_sha256"] and again["plan"] == report["plan"]
 
@@ -189,10 +189,14 @@ def relmse_by_hand(value, error, samples):
         median = values[len(values) // 2]
         low = max(value[y, x] - error[y, x], median) ** 2
         low = min(max(low, product[y, x]) + floor, high)
-        unseen = 1 + 1.6 * math.log(high / low) if high > 3 * low else 1
         chance = min(max((median ** 2 + floor) / own, 1), 2) ** 0.6
         hit, brightest = error[y, x] * samples, max(darker[window].max(), 0)
-        rare = 1.15 if hit < 2 * brightest else 1.6 if hit < 16 * brightest else 1.2
+        slope = 0.8 if hit < 16 * brightest else 1.6
+        unseen = 1 + slope * math.log(high / low) if high > 3 * low else 1
+        rare = 1.2 if hit < 2 * brightest else 1.65 if hit < 16 * brightest else 1.4
+        brighter = value + error
+        if (brighter[window] >= brighter[y, x] / 2).mean() >= 0.5:
+            rare = 1.05
         level[y, x] = high * chance / unseen / rare - floor
     return (variance / (level + floor)).sum() / (height * width)
 

@@ -7,6 +7,7 @@
 #include <cmocka.h>
 #include <math.h>
 
+#include "master/allocate.h"
 #include "master/claim.h"
 
 /* An error of so many pixels alike. */
@@ -31,8 +32,11 @@ static void test_bound(void **state)
         before = upper;
     }
     struct film_error e = error_of(0.01, 100);
-    assert_true(fabs(claim_upper(&e) - 0.01 * exp(0.23)) < 1e-12);
-    assert_true(claim_stands(&e, 0.0126) && !claim_stands(&e, 0.0125));
+    assert_true(fabs(claim_upper(&e) - 0.01 * exp(hypot(0.23, 0.1))) < 1e-12);
+    assert_true(claim_stands(&e, 0.0129) && !claim_stands(&e, 0.0128));
+    /* However many pixels a picture has, what it states may be a little off. */
+    struct film_error large = error_of(0.01, 1e12);
+    assert_true(fabs(claim_upper(&large) - 0.01 * exp(0.1)) < 1e-6);
 }
 
 /* Nothing known, no claim; nothing wrong, any claim. */
@@ -68,13 +72,42 @@ static void test_growth(void **state)
     assert_true(before == 4);
 }
 
+/* Small steps of a small picture: each look has a cell more to see, and the end is told. */
+static void test_more(void **state)
+{
+    (void)state;
+    struct job_spec spec;
+    job_spec_init(&spec);
+    spec.width = spec.height = 32;
+    spec.crop = (struct job_crop){0, 0, 32, 32};
+    spec.spp = 64;
+    spec.stop = JOB_STOP_ERROR;
+    spec.target_error = 0.01;
+    spec.tile = GRID_SQUARE;
+    struct job_blocks blocks = job_spec_blocks(&spec);
+    struct grid grid;
+    assert_int_equal(grid_init(&grid, &spec), ERR_OK);
+    const float shares[4] = {1, 1, 1, 1};
+    struct film_error e = error_of(0.01, 1e6);
+    uint16_t limits[4];
+    double mean = 4;
+    (void)allocate_limits(&grid, &blocks, shares, mean, 0, limits);
+    uint32_t before = limits[0], looks = 0;
+    for (; claim_more(&grid, &blocks, shares, &e, 0.011, &mean, limits); looks++) {
+        assert_true(limits[0] > before && mean < 200);
+        before = limits[0];
+    }
+    assert_int_equal(before, blocks.count);
+    assert_true(looks > 8 && looks < blocks.count);
+    grid_release(&grid);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_bound),
-        cmocka_unit_test(test_edges),
-        cmocka_unit_test(test_few_pixels),
-        cmocka_unit_test(test_growth),
+        cmocka_unit_test(test_bound),      cmocka_unit_test(test_edges),
+        cmocka_unit_test(test_few_pixels), cmocka_unit_test(test_growth),
+        cmocka_unit_test(test_more),
     };
     return cmocka_run_group_tests_name("claim", tests, NULL, NULL);
 }

@@ -151,13 +151,15 @@ static void test_allocation(void **state)
     struct job_spec spec = spec_of(160, 160, 65536);
     struct job_blocks blocks = job_spec_blocks(&spec);
     struct grid grid;
-    double terms[100];
+    double terms[100], squares[100];
     float shares[100], scratch[100];
     uint16_t limits[100];
     assert_int_equal(grid_init(&grid, &spec), ERR_OK);
-    for (uint32_t i = 0; i < grid.cell_count; i++)
+    for (uint32_t i = 0; i < grid.cell_count; i++) {
         terms[i] = 256 * (grid_cell(&grid, i).x < 80 ? 0.16 : 0.01);
-    allocate_shares(&grid, terms, shares, scratch);
+        squares[i] = terms[i] * terms[i] / 256;
+    }
+    allocate_shares(&grid, terms, squares, shares, scratch);
     for (uint32_t i = 0; i < grid.cell_count; i++) {
         uint32_t x = grid_cell(&grid, i).x;
         if (x < 64 || x >= 96) /* elsewhere neighbours differ */
@@ -185,6 +187,33 @@ static void test_allocation(void **state)
     grid_release(&grid);
 }
 
+/* A square whose error lies in one pixel is believed a third, and the others to it as little as
+ * they are sure: where all is measured well, a bright square stays a square. */
+static void test_spikes_are_shared(void **state)
+{
+    (void)state;
+    struct job_spec spec = spec_of(80, 80, 65536);
+    struct grid grid;
+    double terms[25], squares[25];
+    float sure[25], spike[25], scratch[25];
+    assert_int_equal(grid_init(&grid, &spec), ERR_OK);
+    uint32_t middle = 0, beside = 0;
+    for (uint32_t i = 0; i < grid.cell_count; i++) {
+        struct grid_rect r = grid_cell(&grid, i);
+        middle = r.x == 32 && r.y == 32 ? i : middle;
+        beside = r.x == 48 && r.y == 32 ? i : beside;
+        terms[i] = r.x == 32 && r.y == 32 ? 256 * 0.32 : 256 * 0.01;
+        squares[i] = terms[i] * terms[i] / 256;
+    }
+    allocate_shares(&grid, terms, squares, sure, scratch);
+    squares[middle] = terms[middle] * terms[middle];
+    allocate_shares(&grid, terms, squares, spike, scratch);
+    /* 32^0.4 = 4 times what is around it; a third of that and two thirds of 1 are 2. */
+    assert_true(fabs((double)(sure[middle] / sure[beside]) - 4) < 0.1);
+    assert_true(fabs((double)(spike[middle] / spike[beside]) - 2) < 0.1);
+    grid_release(&grid);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -192,6 +221,7 @@ int main(void)
         cmocka_unit_test(test_round_trip),
         cmocka_unit_test(test_refused),
         cmocka_unit_test(test_allocation),
+        cmocka_unit_test(test_spikes_are_shared),
     };
     return cmocka_run_group_tests_name("sample_plan", tests, NULL, NULL);
 }
