@@ -17,6 +17,9 @@ static const double CLAIM_EFFECTIVE_MIN = 8;
  * (docs/ERROR.md: 1 to 1.9). The first look comes where the target would be reached then: a look
  * too many costs little, samples too many are not got back. */
 static const double FIRST_POWER = 1.5;
+/* It comes no later than after so many samples on average: what two samples state of a picture of
+ * few levels may be twenty times its error. */
+static const double FIRST_SPP_MAX = 16;
 /* By which power the next look is set. */
 static const double NEXT_POWER = 1.7;
 /* Between two looks samples grow by at least and at most so much. */
@@ -51,6 +54,7 @@ double claim_first(const struct grid *grid, const struct job_blocks *blocks, con
                    const float *shares, double target, uint16_t *limits)
 {
     double mean = allocate_mean_for(grid, blocks, terms, shares, FIRST_POWER, target, limits);
+    mean = mean < FIRST_SPP_MAX ? mean : FIRST_SPP_MAX;
     (void)allocate_limits(grid, blocks, shares, mean, 0, limits);
     return mean;
 }

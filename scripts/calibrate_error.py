@@ -172,6 +172,7 @@ def constant(name):
 
 QUANTILE, DOUBT, EFFECTIVE_MIN = constant("QUANTILE"), constant("DOUBT"), constant("CLAIM_EFFECTIVE_MIN")
 FIRST_POWER, NEXT_POWER = constant("FIRST_POWER"), constant("NEXT_POWER")
+FIRST_SPP_MAX = constant("FIRST_SPP_MAX")
 GROWTH_MIN, GROWTH_MAX = constant("GROWTH_MIN"), constant("GROWTH_MAX")
 GROWTH_MARGIN, HEAVY_GROWTH = constant("GROWTH_MARGIN"), constant("HEAVY_GROWTH")
 
@@ -187,7 +188,7 @@ def simulated_claim(random, groups, freedom, unevenness, aim=0.01):
         return random.standard_normal((2, groups, freedom)) * deviation * math.sqrt(spp / 2)
 
     a, b = halves(2)
-    spp = 2 * (((a - b) ** 2).mean() / 4 / aim) ** (1 / FIRST_POWER)
+    spp = min(2 * (((a - b) ** 2).mean() / 4 / aim) ** (1 / FIRST_POWER), FIRST_SPP_MAX)
     sums = halves(spp)
     while spp < 20 / aim:
         a, b = sums / (spp / 2)

@@ -102,12 +102,37 @@ static void test_more(void **state)
     grid_release(&grid);
 }
 
+/* However far the pilot says that the target is, the first look comes soon. */
+static void test_first(void **state)
+{
+    (void)state;
+    struct job_spec spec;
+    job_spec_init(&spec);
+    spec.width = spec.height = 32;
+    spec.crop = (struct job_crop){0, 0, 32, 32};
+    spec.stop = JOB_STOP_ERROR;
+    spec.target_error = 0.01;
+    spec.spp = 65536;
+    spec.tile = GRID_SQUARE;
+    struct job_blocks blocks = job_spec_blocks(&spec);
+    struct grid grid;
+    assert_int_equal(grid_init(&grid, &spec), ERR_OK);
+    const float shares[4] = {1, 1, 1, 1};
+    const double far[4] = {256, 256, 256, 256}, near[4] = {5, 5, 5, 5};
+    uint16_t limits[4];
+    assert_true(claim_first(&grid, &blocks, far, shares, 1e-6, limits) == 16);
+    assert_int_equal(job_blocks_samples(&blocks, limits[0]), 16);
+    double mean = claim_first(&grid, &blocks, near, shares, 0.005, limits);
+    assert_true(mean > 4 && mean < 8);
+    grid_release(&grid);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_bound),      cmocka_unit_test(test_edges),
         cmocka_unit_test(test_few_pixels), cmocka_unit_test(test_growth),
-        cmocka_unit_test(test_more),
+        cmocka_unit_test(test_more),       cmocka_unit_test(test_first),
     };
     return cmocka_run_group_tests_name("claim", tests, NULL, NULL);
 }
