@@ -17,7 +17,9 @@
 
 struct render_scratch;
 
-enum { OUTLINE_TWIGS = 4 };
+/* With the path itself a power of two, so that light which is the same all over stays so bit for
+ * bit. */
+enum { OUTLINE_TWIGS = 3 };
 
 /* Bit y * width + x: the outline of a lamp crosses pixel x, y of a group, which is at most
  * WAVE_GROUP_SIDE wide and high. Uses rays and hits of the scratch memory. */
