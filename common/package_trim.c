@@ -27,18 +27,6 @@ void package_trim_mesh_release(struct trimmed_mesh *t)
     *t = (struct trimmed_mesh){0};
 }
 
-/* True if triangles take up the vertices in order and none is left: nothing to renumber. */
-static bool in_order(const struct scene_mesh *m)
-{
-    uint32_t next = 0;
-    for (size_t i = 0; i < (size_t)m->triangle_count * 3; i++) {
-        if (m->indices[i] > next)
-            return false;
-        next += m->indices[i] == next;
-    }
-    return next == m->vertex_count;
-}
-
 /* New numbers in the order of first use, by which indices are told shortly; SCENE_NONE for those
  * that no triangle has. */
 static uint32_t *number_vertices(const struct scene_mesh *m, uint32_t *used)
@@ -95,7 +83,7 @@ static enum err renumber(struct trimmed_mesh *t, const uint32_t *map, uint32_t u
 enum err package_trim_mesh(const struct scene_mesh *m, const struct scene_plan_mesh *plan,
                            struct package_left *left, struct trimmed_mesh *out)
 {
-    bool same = in_order(m);
+    bool same = scene_mesh_in_order(m);
     uint32_t used = m->vertex_count, *map = NULL;
     *out = (struct trimmed_mesh){.mesh = *m};
     if (!same) {

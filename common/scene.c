@@ -319,3 +319,14 @@ void scene_check(const struct scene *s)
 {
     TL_ASSERT(scene_valid(s));
 }
+
+bool scene_mesh_in_order(const struct scene_mesh *m)
+{
+    uint32_t next = 0;
+    for (size_t i = 0; i < (size_t)m->triangle_count * 3; i++) {
+        if (m->indices[i] > next)
+            return false;
+        next += m->indices[i] == next;
+    }
+    return next == m->vertex_count;
+}

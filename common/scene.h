@@ -228,6 +228,10 @@ void scene_check(const struct scene *s);
  * determinant is over 1e-13 of the product of its rows' lengths, so that scale does not matter. */
 TL_NODISCARD bool scene_transform_valid(const double m[16]);
 
+/* True if the triangles take up the vertices in their order and none is left, as packages have
+ * them. */
+bool scene_mesh_in_order(const struct scene_mesh *m);
+
 /* Coordinates, colours and the like are at most this large: squares stay finite. */
 #define SCENE_NUMBER_MAX 1e150
 

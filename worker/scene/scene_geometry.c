@@ -96,21 +96,9 @@ struct mesh_use {
     double center[3], scale; /* of that space */
 };
 
-/* True if triangles take up vertices in order and none is left: as packages have them. */
-static bool all_used_in_order(const struct scene_mesh *m)
-{
-    uint32_t next = 0;
-    for (size_t i = 0; i < (size_t)m->triangle_count * 3; i++) {
-        if (m->indices[i] > next)
-            return false;
-        next += m->indices[i] == next;
-    }
-    return next == m->vertex_count;
-}
-
 static enum err find_strays(const struct scene_mesh *m, struct mesh_use *use)
 {
-    if (all_used_in_order(m))
+    if (scene_mesh_in_order(m))
         return ERR_OK;
     bool *seen = mem_calloc(m->vertex_count, sizeof *seen);
     if (!seen)
