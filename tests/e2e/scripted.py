@@ -181,3 +181,8 @@ def farm(tmp_path):
 @pytest.fixture
 def job(farm):
     return farm.submit(SEED_SCENE, "--spp", SPP, "--size", f"{SIDE}x{SIDE}", "--tile", TILE)
+
+
+def states(farm):
+    """What the master says of each worker, by its id."""
+    return {w["id"]: w["state"] for w in farm.request("GET", "/api/v1/workers")[1]["items"]}
