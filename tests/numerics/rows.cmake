@@ -112,6 +112,8 @@ if(TARGET tilery AND TARGET tilery-master AND TARGET tilery-worker)
   numerics_pytest(test_numerics_farm.py test_t01_scale_by_the_farm test_t02_radiance_by_the_farm
     test_t02_half_is_clamped_and_said test_t03_powers_of_ten test_t04_translated_by_the_farm
     test_t04_dyadic_by_the_farm test_t22_last_pixels_by_the_farm)
+  tilery_script_test(numerics_flip LABEL numerics TIMEOUT 600
+    COMMAND ${numerics_dir}/flip_peer.py)
   numerics_pytest(test_numerics_input.py test_t10_bad_vertex_is_named_obj
     test_t10_bad_vertex_is_named_ply)
 endif()
