@@ -17,13 +17,14 @@
 /* `terms` is each cell's sum of the pixels' terms of relMSE over the pilot, `squares` that of their
  * squares. Fills `shares`: samples of the cell's pixels over the picture's mean. A cell whose error
  * few pixels carry is measured badly, and may have spikes that the pilot missed: the more so, the
- * more of its share is its neighbours' mean; and none gets less than an eighth of the picture's.
+ * more of its share is its neighbours' mean; and none gets less than a sixteenth of the picture's.
  * `scratch` has cell_count places. */
 void allocate_shares(const struct grid *grid, const double *terms, const double *squares,
                      float *shares, float *scratch);
 
 /* Blocks of each cell for `mean_spp` samples a pixel on average, the pilot's not counted, and at
- * least `spp_min`. False: all cells are at the job's end already. */
+ * least `spp_min`: whole sets of samples, which are of powers of two, and halfway. False: all cells
+ * are at the job's end already. */
 bool allocate_limits(const struct grid *grid, const struct job_blocks *blocks, const float *shares,
                      double mean_spp, double spp_min, uint16_t *limits);
 

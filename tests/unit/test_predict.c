@@ -123,10 +123,11 @@ static void test_target(void **state)
     (void)state;
     struct pilots p = pilots_of(1.5, 0, 0);
     struct job_spec spec = {.stop = JOB_STOP_ERROR, .spp = 65536, .target_error = 1e-4};
-    /* 1.03 times for the steps of looks, the claim's doubt, and 1.27 for samples that are no power
-     * of two, and 1.5 for plans. */
+    /* 1.03 times for the steps of looks, the claim's doubt, and 1.15 for samples that are no power
+     * of two, and 1.5 for plans; 1.2 times the samples of that. */
     double sure = 1.03 * exp(0.1), power = predict_fit_error(&p).power;
-    near(predict(&p, &spec).spp_mean, 16 * pow(sure * 1.27 * 1.5 * 0.01 / 1e-4, 1 / power), 0.06);
+    near(predict(&p, &spec).spp_mean, 1.2 * 16 * pow(sure * 1.15 * 1.5 * 0.01 / 1e-4, 1 / power),
+         0.03);
     double steps = 1.03 * (1 + 0.3 * (predict_fit_error(&p).power - 1.2));
     near(predict(&p, &spec).relmse, 1e-4 / steps / exp(0.1), 1e-9);
     /* A deviation of a tenth: the bound is exp(sqrt(0.23^2 + 0.1^2)) away. In four times the pixels

@@ -211,6 +211,37 @@ static void test_spikes_are_shared(void **state)
     /* 32^0.4 = 4 times what is around it; a third of that and two thirds of 1 are 2. */
     assert_true(fabs((double)(sure[middle] / sure[beside]) - 4) < 0.1);
     assert_true(fabs((double)(spike[middle] / spike[beside]) - 2) < 0.1);
+    /* Where the pilot saw nothing, a third is its own, and that is nothing. */
+    terms[middle] = squares[middle] = 0;
+    allocate_shares(&grid, terms, squares, sure, scratch);
+    assert_true(fabs((double)(sure[middle] / sure[beside]) - 0.667) < 0.02);
+    grid_release(&grid);
+}
+
+/* Plans go by whole sets of well spread samples and halfway, and never far from what is asked. */
+static void test_plan_steps(void **state)
+{
+    (void)state;
+    struct job_spec spec = spec_of(16, 16, 5000);
+    struct job_blocks blocks = job_spec_blocks(&spec);
+    struct grid grid;
+    assert_int_equal(grid_init(&grid, &spec), ERR_OK);
+    uint64_t last = job_blocks_samples(&blocks, blocks.count), before = 0;
+    for (double mean = 1; mean < 20000; mean *= 1.01) {
+        const float share = 1;
+        uint16_t limit;
+        bool more = allocate_limits(&grid, &blocks, &share, mean, 0, &limit);
+        uint64_t spp = job_blocks_samples(&blocks, limit), odd = spp;
+        while (odd % 2 == 0)
+            odd /= 2;
+        assert_true(odd == 1 || odd == 3 || spp == last);
+        assert_true(spp >= before && more == (spp < last));
+        double near = mean < 8 ? 1.42 : 1.23; /* the ladder begins with 4 and 8 */
+        if (mean >= 4 && mean <= (double)last)
+            assert_true((double)spp < near * mean && mean < near * (double)spp);
+        before = spp;
+    }
+    assert_true(before == last);
     grid_release(&grid);
 }
 
@@ -222,6 +253,7 @@ int main(void)
         cmocka_unit_test(test_refused),
         cmocka_unit_test(test_allocation),
         cmocka_unit_test(test_spikes_are_shared),
+        cmocka_unit_test(test_plan_steps),
     };
     return cmocka_run_group_tests_name("sample_plan", tests, NULL, NULL);
 }
