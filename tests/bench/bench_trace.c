@@ -22,7 +22,6 @@
 #include <errno.h>
 #include <getopt.h>
 #include <inttypes.h>
-#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -35,6 +34,7 @@
 #include "common/scene.h"
 #include "tests/bench/trace_agree.h"
 #include "tests/bench/trace_peer.h"
+#include "tests/bench/trace_pool.h"
 
 enum {
     RUNS_MAX = 99,
@@ -134,7 +134,7 @@ struct work {
     struct trace_peer *peer;
     const struct trace_rays *rays;
     bool shadow;
-    size_t begin, end, hits;
+    size_t begin, end;
 };
 
 static size_t single_count(const struct work *w)
@@ -173,36 +173,41 @@ static size_t batch_count(const struct work *w)
     return total;
 }
 
-static void *work_run(void *arg)
+static size_t work_run(const struct work *w)
 {
-    struct work *w = arg;
     if (w->side == OURS_SINGLE)
-        w->hits = single_count(w);
-    else if (w->side == OURS_BATCH)
-        w->hits = batch_count(w);
-    else
-        w->hits = trace_peer_count(w->peer, w->rays, w->begin, w->end, w->shadow);
-    return NULL;
+        return single_count(w);
+    if (w->side == OURS_BATCH)
+        return batch_count(w);
+    return trace_peer_count(w->peer, w->rays, w->begin, w->end, w->shadow);
 }
 
-/* Seconds for all rays on some threads. */
+struct shared {
+    const struct work *whole;
+    size_t hits;
+};
+
+/* A chunk of the rays. */
+static void part_run(void *arg, size_t i)
+{
+    struct shared *s = arg;
+    struct work part = *s->whole;
+    part.begin = i * CHUNK;
+    part.end = part.end - part.begin < CHUNK ? part.end : part.begin + CHUNK;
+    size_t hits = work_run(&part);
+    __atomic_fetch_add(&s->hits, hits, __ATOMIC_RELAXED);
+}
+
+/* Seconds for all rays on some threads, which take a chunk after the other. */
 static double work_time(const struct work *whole, int threads, size_t *hits)
 {
-    struct work part[THREADS_MAX];
-    pthread_t thread[THREADS_MAX];
     double start = trace_seconds(threads);
-    for (int i = 0; i < threads; i++) {
-        part[i] = *whole;
-        part[i].begin = whole->rays->count * (size_t)i / (size_t)threads;
-        part[i].end = whole->rays->count * (size_t)(i + 1) / (size_t)threads;
-        if (i > 0 && pthread_create(&thread[i], NULL, work_run, &part[i]) != 0)
-            abort();
-    }
-    work_run(&part[0]);
-    *hits = part[0].hits;
-    for (int i = 1; i < threads; i++) {
-        pthread_join(thread[i], NULL);
-        *hits += part[i].hits;
+    if (threads == 1) {
+        *hits = work_run(whole);
+    } else {
+        struct shared shared = {whole, 0};
+        trace_pool_run(NULL, (whole->end + CHUNK - 1) / CHUNK, part_run, &shared);
+        *hits = shared.hits;
     }
     return trace_seconds(threads) - start;
 }
@@ -211,7 +216,7 @@ static double work_time(const struct work *whole, int threads, size_t *hits)
 static struct work work_of(const struct bench *b, int way, const struct accel *a,
                            const struct trace_rays *rays, bool shadow, int threads)
 {
-    struct work w = {.accel = a, .rays = rays, .shadow = shadow};
+    struct work w = {.accel = a, .rays = rays, .shadow = shadow, .end = rays->count};
     if (way < 2) {
         w.side = (enum side)way;
     } else if (way < 2 + b->peer_count) {
@@ -327,38 +332,10 @@ static void check_rays(struct bench *b, const char *scene, const char *kind,
 
 /* --- Building --------------------------------------------------------------- */
 
-struct pool_job {
-    size_t count;
-    void (*fn)(void *arg, size_t index);
-    void *arg;
-    size_t next;
-};
-
-static void *pool_help(void *arg)
-{
-    struct pool_job *j = arg;
-    size_t i;
-    while ((i = __atomic_fetch_add(&j->next, 1, __ATOMIC_RELAXED)) < j->count)
-        j->fn(j->arg, i);
-    return NULL;
-}
-
-/* Two threads: the caller and one made for the occasion. */
-static void pool_run(void *ctx, size_t count, void (*fn)(void *arg, size_t index), void *arg)
-{
-    (void)ctx;
-    struct pool_job job = {count, fn, arg, 0};
-    pthread_t helper;
-    bool helped = count > 1 && pthread_create(&helper, NULL, pool_help, &job) == 0;
-    pool_help(&job);
-    if (helped)
-        pthread_join(helper, NULL);
-}
-
 static struct accel *build_ours(const struct trace_scene *s, const struct accel_options *options,
                                 int threads, double *seconds)
 {
-    struct accel_runner runner = {pool_run, NULL, (uint32_t)threads};
+    struct accel_runner runner = {trace_pool_run, NULL, (uint32_t)threads};
     struct accel *a = NULL;
     double start = trace_seconds(threads);
     if (accel_new(&s->input, options, threads > 1 ? &runner : NULL, &a) != ERR_OK) {

@@ -9,7 +9,8 @@ if(TILERY_TESTS AND EMBREE_LIBRARY AND EMBREE_INCLUDE)
   target_include_directories(trace_peer SYSTEM PRIVATE ${EMBREE_INCLUDE})
   target_link_libraries(trace_peer PUBLIC tl_render ${EMBREE_LIBRARY} ${CMAKE_DL_LIBS}
     Threads::Threads m)
-  tilery_program(bench_trace LINKS trace_peer SOURCES ${bench_dir}/bench_trace.c)
+  tilery_program(bench_trace LINKS trace_peer
+    SOURCES ${bench_dir}/bench_trace.c ${bench_dir}/trace_pool.c)
   tilery_script_test(bench_trace_arguments LABEL unit
     COMMAND ${bench_dir}/bench_trace_arguments.py $<TARGET_FILE:bench_trace>)
   tilery_program(gen_mesh LINKS tl_common
