@@ -139,7 +139,7 @@ static inline __attribute__((always_inline)) bool ready_begin(d4 org, d4 dir, do
 static inline void ready_boxes(const struct ready_way *way, struct trace_ray *out)
 {
     ready_slabs(out, _mm256_cvtpd_ps(way->org), _mm256_cvtpd_ps(way->dir),
-                _mm_movehdup_ps(way->bounds));
+                _mm_shuffle_ps(way->bounds, way->bounds, _MM_SHUFFLE(1, 1, 1, 1)));
 }
 
 /* What triangles need; `sure`: what float decides by itself as well. */
