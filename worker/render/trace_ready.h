@@ -23,31 +23,40 @@
 #define READY_PAD TRACE_PAD
 #endif
 
-/* By the axis of the largest component: the double lanes x, y, z of the permuted space. */
-static const int32_t ready_lanes[3][8] __attribute__((aligned(32))) = {
-    {2, 3, 4, 5, 0, 1, 6, 7},
-    {4, 5, 0, 1, 2, 3, 6, 7},
-    {0, 1, 2, 3, 4, 5, 6, 7},
-};
+/* By the axis of the largest component: the axes x, y, z of the permuted space. */
 static const uint32_t ready_axis[3][4]
     __attribute__((aligned(16))) = {{1, 2, 0, 0}, {2, 0, 1, 0}, {0, 1, 2, 0}};
-
-static inline d4 ready_permute(d4 a, __m256i lanes)
-{
-    return _mm256_castps_pd(_mm256_permutevar8x32_ps(_mm256_castpd_ps(a), lanes));
-}
 
 static inline d4 ready_abs(d4 a)
 {
     return _mm256_andnot_pd(_mm256_set1_pd(-0.0), a);
 }
 
-/* The largest of lanes 0 to 2, in lanes 0 to 2. */
+/* The largest lane, in all of them. */
 static inline d4 ready_largest(d4 a)
 {
-    d4 b = _mm256_permute4x64_pd(a, _MM_SHUFFLE(3, 0, 2, 1));
-    d4 c = _mm256_permute4x64_pd(a, _MM_SHUFFLE(3, 1, 0, 2));
-    return d4_max(d4_max(a, b), c);
+    d4 b = d4_max(a, _mm256_permute2f128_pd(a, a, 1));
+    return d4_max(b, _mm256_permute_pd(b, 5));
+}
+
+static inline uint64_t ready_size(const double *x)
+{
+    uint64_t bits;
+    memcpy(&bits, x, sizeof bits);
+    return bits & INT64_MAX;
+}
+
+/* The axis of the largest component, the last of equal ones, and the bits of its size: as integers,
+ * sizes order like the numbers, and what is not finite is largest. From memory and in scalars,
+ * since all that triangles need waits for it; without a branch, since nobody could guess it. */
+static inline uint32_t ready_main_axis(const double dir[3], uint64_t *bits)
+{
+    uint64_t x = ready_size(&dir[0]), y = ready_size(&dir[1]), z = ready_size(&dir[2]);
+    uint32_t y_first = y >= x;
+    uint64_t most = y >= x ? y : x;
+    uint32_t z_first = z >= most;
+    *bits = z >= most ? z : most;
+    return z_first << 1 | (y_first & ~z_first);
 }
 
 static inline double ready_double(uint64_t bits)
@@ -59,10 +68,10 @@ static inline double ready_double(uint64_t bits)
 
 /* Three numbers that the caller may just have stored one by one: a wider load would wait for
  * the stores to reach the cache. The fourth lane is 0. */
-static inline d4 ready_load(const double p[3])
+static inline d4 ready_load(const double *x, const double *y, const double *z)
 {
-    __m128d xy = _mm_loadh_pd(_mm_load_sd(&p[0]), &p[1]);
-    return _mm256_insertf128_pd(_mm256_castpd128_pd256(xy), _mm_load_sd(&p[2]), 1);
+    __m128d xy = _mm_loadh_pd(_mm_load_sd(x), y);
+    return _mm256_insertf128_pd(_mm256_castpd128_pd256(xy), _mm_load_sd(z), 1);
 }
 
 /* Three floats of a leaf as a vector. Reads 16 bytes from each, of which the leaf has enough: a
@@ -92,29 +101,32 @@ static inline void ready_slabs(struct trace_ray *out, f4 org, f4 dir, f4 pad_siz
 
 /* What the parts of trace_ray_init hand on. */
 struct ready_way {
-    d4 org, dir; /* as in trace_ray, with junk in the fourth lane */
-    d4 far;      /* R */
-    f4 bounds;   /* slack in double's place, pad, filter_slope, filter_slack */
-    uint32_t z;  /* the axis of dir's largest component */
+    d4 org, dir;            /* as in trace_ray */
+    const double *from_org; /* where they are in memory, and are there first */
+    const double *from_dir;
+    d4 far;     /* R */
+    f4 bounds;  /* slack in double's place, pad, filter_slope, filter_slack */
+    uint32_t z; /* the axis of dir's largest component */
 };
 
-/* What boxes and triangles both need; org's and dir's fourth lanes may hold anything. */
-static inline __attribute__((always_inline)) bool ready_begin(d4 org, d4 dir, double outer,
-                                                              double reach, struct trace_ray *out,
-                                                              struct ready_way *way)
+/* What boxes and triangles both need, of org and dir as vectors and in memory; the fourth lanes are
+ * 0. */
+static inline __attribute__((always_inline)) bool
+ready_begin(d4 org, d4 dir, const double *from_org, const double *from_dir, double outer,
+            double reach, struct trace_ray *out, struct ready_way *way)
 {
-    const d4 infinite = d4_splat(__builtin_inf());
-    d4 size = ready_abs(dir), most = ready_largest(size);
-    unsigned finite = d4_mask(d4_and(d4_less(size, infinite), d4_less(ready_abs(org), infinite)));
-    unsigned largest = d4_mask(d4_less_equal(most, size)) & 7;
-    uint64_t bits = (uint64_t)_mm_cvtsi128_si64(_mm_castpd_si128(_mm256_castpd256_pd128(most)));
-    if ((finite & 7) != 7 || bits == 0)
+    const uint64_t infinite = UINT64_C(0x7ff) << 52;
+    uint64_t bits;
+    way->z = ready_main_axis(from_dir, &bits);
+    d4 size = ready_abs(org);
+    if (bits == 0 || bits >= infinite || d4_mask(d4_less(size, d4_splat(__builtin_inf()))) != 15)
         return false;
-    way->z = 31 - (uint32_t)__builtin_clz(largest);
     /* Scaling changes no bit but where numbers get too large or small: most need none. */
     uint64_t exponent = bits >> 52;
     way->org = org;
     way->dir = dir;
+    way->from_org = from_org;
+    way->from_dir = from_dir;
     out->rescale = out->unscale = 1.0;
     out->scale = outer;
     if (__builtin_expect(exponent - (1023 - 20) > 40, 0)) {
@@ -124,11 +136,11 @@ static inline __attribute__((always_inline)) bool ready_begin(d4 org, d4 dir, do
         out->unscale = ready_double(exponent << 52);
         out->scale = outer * out->rescale;
         way->dir = d4_mul(dir, d4_splat(out->rescale));
+        way->from_dir = out->dir;
     }
     _mm256_store_pd(out->org, org);
     _mm256_store_pd(out->dir, way->dir);
-    d4 far = d4_add(ready_largest(ready_abs(org)), d4_splat(reach));
-    way->far = _mm256_permute4x64_pd(far, 0);
+    way->far = d4_add(ready_largest(size), d4_splat(reach));
     d4 bounds =
         d4_mul(way->far, _mm256_setr_pd(0x1p-30, READY_PAD * 0x1p-24, 100.0 * 0x1p-24, 0x1p-20));
     way->bounds = _mm256_cvtpd_ps(bounds);
@@ -149,10 +161,12 @@ ready_triangles(const struct ready_way *way, double reach, bool sure, struct tra
     _Static_assert(offsetof(struct trace_ray, filter_slack) ==
                        offsetof(struct trace_ray, filter_slope) + sizeof(float),
                    "slope and slack in one store");
-    __m256i lanes = _mm256_load_si256((const __m256i *)ready_lanes[way->z]);
-    d4 porg = ready_permute(way->org, lanes), pdir = ready_permute(way->dir, lanes);
-    d4 top = _mm256_blend_pd(pdir, _mm256_setr_pd(1.0, 1.0, 1.0, -1.0), 0xc);
-    d4 shear = d4_div(top, _mm256_permute4x64_pd(pdir, 0xaa));
+    const uint32_t x = ready_axis[way->z][0], y = ready_axis[way->z][1], z = way->z;
+    const double *from = way->from_org, *dir = way->from_dir;
+    d4 porg = ready_load(&from[x], &from[y], &from[z]);
+    __m128d xy = _mm_loadh_pd(_mm_load_sd(&dir[x]), &dir[y]);
+    d4 top = _mm256_insertf128_pd(_mm256_castpd128_pd256(xy), _mm_setr_pd(1.0, -1.0), 1);
+    d4 shear = d4_div(top, _mm256_broadcast_sd(&dir[z]));
     _mm256_store_pd(out->porg, porg);
     _mm256_store_pd(out->shear, shear);
     _mm_store_si128((__m128i *)out->axis, _mm_load_si128((const __m128i *)ready_axis[way->z]));
@@ -176,11 +190,13 @@ ready_triangles(const struct ready_way *way, double reach, bool sure, struct tra
 }
 
 /* trace_ray_init. Without boxes: nothing that they, or what float is sure of, need. */
-static inline __attribute__((always_inline)) bool
-ready_ray(d4 org, d4 dir, double outer, double reach, bool boxes, struct trace_ray *out)
+static inline __attribute__((always_inline)) bool ready_ray(const struct ray *ray, double reach,
+                                                            bool boxes, struct trace_ray *out)
 {
     struct ready_way way;
-    if (!ready_begin(org, dir, outer, reach, out, &way))
+    d4 org = ready_load(&ray->org[0], &ray->org[1], &ray->org[2]);
+    d4 dir = ready_load(&ray->dir[0], &ray->dir[1], &ray->dir[2]);
+    if (!ready_begin(org, dir, ray->org, ray->dir, 1.0, reach, out, &way))
         return false;
     ready_triangles(&way, reach, boxes, out);
     if (boxes)
@@ -191,8 +207,7 @@ ready_ray(d4 org, d4 dir, double outer, double reach, bool boxes, struct trace_r
 static inline bool ready_scene_ray(const struct accel *a, const struct ray *ray,
                                    struct trace_ray *out, double *tmin, double *tmax)
 {
-    if (!(ray->tmin < ray->tmax) ||
-        !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0, a->scene_tree.reach, true, out))
+    if (!(ray->tmin < ray->tmax) || !ready_ray(ray, a->scene_tree.reach, true, out))
         return false;
     *tmin = ray->tmin * out->unscale;
     *tmax = ray->tmax * out->unscale;
@@ -203,8 +218,7 @@ static inline bool ready_scene_ray(const struct accel *a, const struct ray *ray,
 static inline bool ready_boxless_ray(const struct accel *a, const struct ray *ray,
                                      struct trace_ray *out, double *tmin, double *tmax)
 {
-    if (!(ray->tmin < ray->tmax) || !ready_ray(ready_load(ray->org), ready_load(ray->dir), 1.0,
-                                               a->scene_tree.reach, false, out))
+    if (!(ray->tmin < ray->tmax) || !ready_ray(ray, a->scene_tree.reach, false, out))
         return false;
     *tmin = ray->tmin * out->unscale;
     *tmax = ray->tmax * out->unscale;
@@ -224,7 +238,9 @@ static inline bool ready_instance_boxes(const struct accel *a, uint32_t object,
     org = d4_add(d4_add(org, d4_mul(z, d4_splat(p[2]))), _mm256_load_pd(from[3]));
     d4 dir = d4_add(d4_mul(x, d4_splat(v[0])), d4_mul(y, d4_splat(v[1])));
     dir = d4_add(dir, d4_mul(z, d4_splat(v[2])));
-    if (!ready_begin(org, dir, r->scale, m->tree->reach, out, way))
+    _mm256_store_pd(out->org, org);
+    _mm256_store_pd(out->dir, dir);
+    if (!ready_begin(org, dir, out->org, out->dir, r->scale, m->tree->reach, out, way))
         return false;
     ready_boxes(way, out);
     return true;
