@@ -54,8 +54,8 @@ static inline f8 node_planes(const struct bvh_node *node, uint32_t row)
 }
 
 /* Which children's widened boxes the ray meets within [from, to], and where it enters. */
-static inline unsigned node_meet(const struct bvh_node *node, const struct slabs *s,
-                                 const uint32_t row[3], f8 from, f8 to, f8 *entry)
+static inline m8 node_meet(const struct bvh_node *node, const struct slabs *s,
+                           const uint32_t row[3], f8 from, f8 to, f8 *entry)
 {
     f8 near[3], far[3];
     for (int k = 0; k < 3; k++) {
@@ -81,6 +81,7 @@ static inline void prefetch(const unsigned char *arena, uint32_t ref)
 static inline void prefetch_behind(const struct bvh_node *node)
 {
     const char *p = (const char *)node + 4 * 64;
+#pragma GCC unroll 20
     for (int i = 0; i < AHEAD_LINES; i++)
         __builtin_prefetch(p + 64 * i);
 }
@@ -148,8 +149,8 @@ static inline bool instance_enter(const struct accel *a, const struct bvh *tree,
         return false;
     struct leaf_span span = leaf_span_of(tmin * inner->unscale, tmax * inner->unscale);
     slabs_init(&slabs, inner);
-    if (!node_meet(bvh_node_at(tree->arena, tree->root), &slabs, inner->row, f8_splat(span.from),
-                   f8_splat(span.to), &entry))
+    if (!m8_bits(node_meet(bvh_node_at(tree->arena, tree->root), &slabs, inner->row,
+                           f8_splat(span.from), f8_splat(span.to), &entry)))
         return false;
     ready_instance_triangles(a, number, &way, inner);
     return true;
@@ -219,7 +220,8 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
         case BVH_NODE: {
             const struct bvh_node *node = bvh_node_at(arena, ref);
             COUNT(nodes);
-            unsigned mask = node_meet(node, &slabs, row, from, f8_splat(span.to), &entry);
+            m8 met = node_meet(node, &slabs, row, from, f8_splat(span.to), &entry);
+            unsigned mask = m8_bits(met);
             if (ahead)
                 prefetch_behind(node);
             if (!mask)
@@ -229,7 +231,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
                 continue;
             }
             unsigned count = (unsigned)__builtin_popcount(mask);
-            ref = children_sort(entry, mask, count, node->child, keys + top, refs + top);
+            ref = children_sort(entry, met, count, node->child, keys + top, refs + top);
             top += count - 1;
             prefetch(arena, refs[top - 1]);
             continue;
@@ -289,7 +291,8 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
         case BVH_NODE: {
             const struct bvh_node *node = bvh_node_at(arena, ref);
             COUNT(nodes);
-            unsigned mask = node_meet(node, &slabs, row, from, to, &entry);
+            m8 met = node_meet(node, &slabs, row, from, to, &entry);
+            unsigned mask = m8_bits(met);
             if (ahead)
                 prefetch_behind(node);
             if (!mask)
@@ -303,10 +306,9 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
              */
             unsigned count = (unsigned)__builtin_popcount(mask);
             if (sorted) {
-                ref = children_sort(entry, mask, count, node->child, keys + top, refs + top);
+                ref = children_sort(entry, met, count, node->child, keys + top, refs + top);
             } else {
-                children_list(mask, node->child, refs + top);
-                ref = refs[top + count - 1];
+                ref = children_list(mask, node->child, refs + top);
             }
             top += count - 1;
             prefetch(arena, refs[top - 1]);
@@ -541,8 +543,9 @@ static inline bool runner_step_closest(struct runner *s, const struct accel *a, 
         const struct bvh_node *node = bvh_node_at(arena, s->ref);
         f8 entry;
         COUNT(nodes);
-        unsigned mask = node_meet(node, &s->slabs, s->ray.row, f8_splat(s->span.from),
-                                  f8_splat(s->span.to), &entry);
+        m8 met = node_meet(node, &s->slabs, s->ray.row, f8_splat(s->span.from),
+                           f8_splat(s->span.to), &entry);
+        unsigned mask = m8_bits(met);
         if (!mask)
             break;
         unsigned count = (unsigned)__builtin_popcount(mask);
@@ -550,7 +553,7 @@ static inline bool runner_step_closest(struct runner *s, const struct accel *a, 
             s->ref = node->child[__builtin_ctz(mask)];
         else
             s->ref =
-                children_sort(entry, mask, count, node->child, s->keys + s->top, s->refs + s->top);
+                children_sort(entry, met, count, node->child, s->keys + s->top, s->refs + s->top);
         s->top += count - 1;
         prefetch(arena, s->ref);
         return true;
@@ -601,14 +604,14 @@ static inline bool runner_step_any(struct runner *s, const struct accel *a, uint
         const struct bvh_node *node = bvh_node_at(arena, s->ref);
         f8 entry;
         COUNT(nodes);
-        unsigned mask = node_meet(node, &s->slabs, s->ray.row, f8_splat(s->span.from),
-                                  f8_splat(s->span.to), &entry);
+        m8 met = node_meet(node, &s->slabs, s->ray.row, f8_splat(s->span.from),
+                           f8_splat(s->span.to), &entry);
+        unsigned mask = m8_bits(met);
         if (!mask)
             break;
         /* Sorting, which pays for a single ray, costs more than it saves here: measured. */
-        children_list(mask, node->child, s->refs + s->top);
+        s->ref = children_list(mask, node->child, s->refs + s->top);
         s->top += (unsigned)__builtin_popcount(mask) - 1;
-        s->ref = s->refs[s->top];
         prefetch(arena, s->ref);
         return true;
     }

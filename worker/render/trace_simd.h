@@ -87,14 +87,29 @@ static inline f8 f8_max(f8 a, f8 b)
 {
     return _mm256_max_ps(a, b);
 }
-static inline unsigned f8_less_equal(f8 a, f8 b)
-{
 #ifdef __AVX512VL__
+typedef __mmask8 m8;
+
+static inline m8 f8_less_equal(f8 a, f8 b)
+{
     return _mm256_cmp_ps_mask(a, b, _CMP_LE_OQ);
-#else
-    return (unsigned)_mm256_movemask_ps(_mm256_cmp_ps(a, b, _CMP_LE_OQ));
-#endif
 }
+static inline unsigned m8_bits(m8 m)
+{
+    return m;
+}
+#else
+typedef __m256 m8;
+
+static inline m8 f8_less_equal(f8 a, f8 b)
+{
+    return _mm256_cmp_ps(a, b, _CMP_LE_OQ);
+}
+static inline unsigned m8_bits(m8 m)
+{
+    return (unsigned)_mm256_movemask_ps(m);
+}
+#endif
 static inline d4 d4_splat(double x)
 {
     return _mm256_set1_pd(x);
@@ -164,10 +179,16 @@ static inline f8 f8_max(f8 a, f8 b)
 {
     return PAIR(f8, _mm_max_ps, a, b);
 }
-static inline unsigned f8_less_equal(f8 a, f8 b)
+typedef unsigned m8;
+
+static inline m8 f8_less_equal(f8 a, f8 b)
 {
     return (unsigned)_mm_movemask_ps(_mm_cmple_ps(a.a, b.a)) |
            (unsigned)_mm_movemask_ps(_mm_cmple_ps(a.b, b.b)) << 4;
+}
+static inline unsigned m8_bits(m8 m)
+{
+    return m;
 }
 #undef PAIR
 
@@ -224,31 +245,24 @@ static const int32_t children_reverse[9][8] __attribute__((aligned(32))) = {
     {5, 4, 3, 2, 1, 0, 7, 6}, {6, 5, 4, 3, 2, 1, 0, 7}, {7, 6, 5, 4, 3, 2, 1, 0},
 };
 
-static inline __m128i sort_four(__m128i k)
+/* Four lanes that rise and then fall, or fall and then rise: sorted. */
+static inline __m128i sort_bitonic(__m128i k)
 {
     __m128i s = _mm_shuffle_epi32(k, _MM_SHUFFLE(1, 0, 3, 2));
     k = _mm_unpacklo_epi64(_mm_min_epu32(k, s), _mm_max_epu32(k, s));
     s = _mm_shuffle_epi32(k, _MM_SHUFFLE(2, 3, 0, 1));
-    k = _mm_blend_epi32(_mm_min_epu32(k, s), _mm_max_epu32(k, s), 0xa);
-    s = _mm_shuffle_epi32(k, _MM_SHUFFLE(3, 1, 2, 0));
-    return _mm_blend_epi32(_mm_min_epu32(k, s), _mm_max_epu32(k, s), 0xc);
+    return _mm_blend_epi32(_mm_min_epu32(k, s), _mm_max_epu32(k, s), 0xa);
 }
 
-/* Both halves as sort_four, then a bitonic merge. */
-static inline __m256i sort_eight(__m256i k)
+/* Each half sorted by itself. */
+static inline __m256i sort_halves(__m256i k)
 {
     __m256i s = _mm256_shuffle_epi32(k, _MM_SHUFFLE(1, 0, 3, 2));
     k = _mm256_unpacklo_epi64(_mm256_min_epu32(k, s), _mm256_max_epu32(k, s));
     s = _mm256_shuffle_epi32(k, _MM_SHUFFLE(2, 3, 0, 1));
     k = _mm256_blend_epi32(_mm256_min_epu32(k, s), _mm256_max_epu32(k, s), 0xaa);
     s = _mm256_shuffle_epi32(k, _MM_SHUFFLE(3, 1, 2, 0));
-    k = _mm256_blend_epi32(_mm256_min_epu32(k, s), _mm256_max_epu32(k, s), 0xcc);
-    s = _mm256_permutevar8x32_epi32(k, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0));
-    k = _mm256_blend_epi32(_mm256_min_epu32(k, s), _mm256_max_epu32(k, s), 0xf0);
-    s = _mm256_shuffle_epi32(k, _MM_SHUFFLE(1, 0, 3, 2));
-    k = _mm256_unpacklo_epi64(_mm256_min_epu32(k, s), _mm256_max_epu32(k, s));
-    s = _mm256_shuffle_epi32(k, _MM_SHUFFLE(2, 3, 0, 1));
-    return _mm256_blend_epi32(_mm256_min_epu32(k, s), _mm256_max_epu32(k, s), 0xaa);
+    return _mm256_blend_epi32(_mm256_min_epu32(k, s), _mm256_max_epu32(k, s), 0xcc);
 }
 
 #ifndef __AVX512VL__
@@ -256,35 +270,51 @@ static inline __m256i sort_eight(__m256i k)
 extern const uint64_t trace_compress_table[256];
 #endif
 
-/* The chosen lanes first; the others all ones, behind them. */
-static inline __m256i lanes_compress(__m256i key, unsigned mask)
+/* The chosen lanes first, in order. */
+static inline __m256i lanes_compress(__m256i a, unsigned mask)
 {
 #ifdef __AVX512VL__
-    return _mm256_mask_compress_epi32(_mm256_set1_epi32(-1), (__mmask8)mask, key);
+    return _mm256_mask_compress_epi32(_mm256_set1_epi32(-1), (__mmask8)mask, a);
 #else
-    __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
-    __m256i in = _mm256_and_si256(_mm256_set1_epi32((int)mask), bit);
-    __m256i out = _mm256_cmpeq_epi32(in, _mm256_setzero_si256());
     __m256i lanes = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128((long long)trace_compress_table[mask]));
-    return _mm256_permutevar8x32_epi32(_mm256_or_si256(key, out), lanes);
+    return _mm256_permutevar8x32_epi32(a, lanes);
 #endif
 }
+
+/* The keys of met children, the others' all ones; and whether those are behind them. AVX2 would
+ * have to wait long for that, twice as long as for another step of the sort. */
+#ifdef __AVX512VL__
+enum { KEYS_MET_FIRST = 1 };
+static inline __m256i keys_met(__m256i key, m8 met)
+{
+    return lanes_compress(key, met);
+}
+#else
+enum { KEYS_MET_FIRST = 0 };
+static inline __m256i keys_met(__m256i key, m8 met)
+{
+    return _mm256_blendv_epi8(_mm256_set1_epi32(-1), key, _mm256_castps_si256(met));
+}
+#endif
 
 static inline __m128i lanes_permute(__m128i a, __m128i lanes)
 {
     return _mm_castps_si128(_mm_permutevar_ps(_mm_castsi128_ps(a), lanes));
 }
 
-static inline uint32_t children_sort(f8 near, unsigned mask, unsigned count, const uint32_t *child,
+static inline uint32_t children_sort(f8 near, m8 met, unsigned count, const uint32_t *child,
                                      uint32_t *keys, uint32_t *refs)
 {
     __m256i slots = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     __m256i child8 = _mm256_load_si256((const __m256i *)child);
     __m256i key = _mm256_or_si256(
         _mm256_andnot_si256(_mm256_set1_epi32(KEY_SLOT_MASK), _mm256_castps_si256(near)), slots);
-    key = lanes_compress(key, mask);
+    key = sort_halves(keys_met(key, met));
+    __m128i low = _mm256_castsi256_si128(key), high = _mm256_extracti128_si256(key, 1);
+    high = _mm_shuffle_epi32(high, _MM_SHUFFLE(0, 1, 2, 3));
+    __m128i key4 = KEYS_MET_FIRST && count <= 4 ? low : sort_bitonic(_mm_min_epu32(low, high));
     if (__builtin_expect(count > 4, 0)) {
-        key = sort_eight(key);
+        key = _mm256_set_m128i(sort_bitonic(_mm_max_epu32(low, high)), key4);
         __m256i ref = _mm256_permutevar8x32_epi32(child8, key);
         __m256i reverse = _mm256_load_si256((const __m256i *)children_reverse[count]);
         _mm256_storeu_si256((__m256i *)keys, _mm256_permutevar8x32_epi32(key, reverse));
@@ -292,7 +322,6 @@ static inline uint32_t children_sort(f8 near, unsigned mask, unsigned count, con
         return (uint32_t)_mm_cvtsi128_si32(_mm256_castsi256_si128(ref));
     }
     /* Narrow stores stay within a cache line more often. */
-    __m128i key4 = sort_four(_mm256_castsi256_si128(key));
     __m128i ref4 =
         _mm256_castsi256_si128(_mm256_permutevar8x32_epi32(child8, _mm256_castsi128_si256(key4)));
     __m128i reverse4 = _mm_load_si128((const __m128i *)children_reverse[count]);
@@ -301,16 +330,18 @@ static inline uint32_t children_sort(f8 near, unsigned mask, unsigned count, con
     return (uint32_t)_mm_cvtsi128_si32(ref4);
 }
 
-/* Any order will do: the references of the met children. */
-static inline void children_list(unsigned mask, const uint32_t *child, uint32_t *refs)
+/* Any order will do: the references of the met children. Returns the last one's, read from where it
+ * comes from, so that the walk does not wait for the rest. */
+static inline uint32_t children_list(unsigned mask, const uint32_t *child, uint32_t *refs)
 {
     __m256i ref = lanes_compress(_mm256_load_si256((const __m256i *)child), mask);
     _mm256_storeu_si256((__m256i *)refs, ref);
+    return child[31 - __builtin_clz(mask)];
 }
 
 #else
 
-static inline uint32_t children_sort(f8 near, unsigned mask, unsigned count, const uint32_t *child,
+static inline uint32_t children_sort(f8 near, m8 mask, unsigned count, const uint32_t *child,
                                      uint32_t *keys, uint32_t *refs)
 {
     uint32_t bits[8];
@@ -330,10 +361,12 @@ static inline uint32_t children_sort(f8 near, unsigned mask, unsigned count, con
     return refs[count - 1];
 }
 
-static inline void children_list(unsigned mask, const uint32_t *child, uint32_t *refs)
+static inline uint32_t children_list(unsigned mask, const uint32_t *child, uint32_t *refs)
 {
+    uint32_t last = child[31 - __builtin_clz(mask)];
     for (; mask; mask &= mask - 1)
         *refs++ = child[__builtin_ctz(mask)];
+    return last;
 }
 
 #endif
