@@ -10,7 +10,7 @@
 
 #include "common/digest.h"
 
-enum { DETERMINISM_NUMBER = 29 };
+enum { DETERMINISM_NUMBER = 30 };
 
 /* The id of a renderer whose self-test gave these bytes. */
 digest determinism_id(const unsigned char self_test[32]);

@@ -54,14 +54,14 @@ struct scene_material scene_plan_material(const struct scene_material *m, bool e
     return out;
 }
 
-/* The material's emission texture counts where an emitting mesh has texture coordinates and the
- * object has no radiance of its own (worker/scene). */
+/* The material's emission texture counts on spheres and on meshes with texture coordinates, where
+ * the object has no radiance of its own (worker/scene). */
 static bool object_reads_emission(const struct scene *s, const struct scene_object *o)
 {
     const struct scene_material *m = &s->materials[o->material];
-    return o->type == SCENE_OBJECT_MESH && !o->emits && m->emission_texture != SCENE_NONE &&
+    return !o->emits && m->emission_texture != SCENE_NONE &&
            (m->emission[0] > 0 || m->emission[1] > 0 || m->emission[2] > 0) &&
-           s->meshes[o->mesh].uvs;
+           (o->type != SCENE_OBJECT_MESH || s->meshes[o->mesh].uvs);
 }
 
 /* So do the colours of its vertices. */

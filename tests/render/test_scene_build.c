@@ -417,6 +417,46 @@ static void textured_emission_is_found_both_ways(void **state)
     scene_release(&s);
 }
 
+/* A ball once shone all over as brightly as its emission texture is white. Here half of it is
+ * dark. */
+static void spheres_shine_in_their_texture(void **state)
+{
+    (void)state;
+    double mean[2][3];
+    for (int dark = 0; dark < 2; dark++) {
+        struct scene s;
+        scene_init(&s);
+        kit_quad(&s, square, kit_diffuse(&s, 0.8, 0.8, 0.8));
+        struct scene_material *m;
+        uint32_t glow = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+        m->emission[0] = m->emission[1] = m->emission[2] = 3;
+        m->emission_texture = kit_constant_texture(&s, 0);
+        struct scene_texture *t = &s.textures[m->emission_texture];
+        t->type = SCENE_TEXTURE_CHECKERBOARD;
+        t->uv_matrix[4] = 0; /* squares are the halves of u */
+        for (int k = 0; k < 3; k++) {
+            t->color[0][k] = 1;
+            t->color[1][k] = !dark;
+        }
+        kit_sphere(&s, 0, 0, 1.5, 0.5, glow);
+        s.camera.position[0] = 3;
+        s.camera.position[2] = 0.5;
+        for (int k = 0; k < 3; k++) {
+            struct job_spec spec = kit_spec(32, 256);
+            spec.profile = (enum job_profile)k;
+            spec.max_depth = 2;
+            struct kit_picture p = kit_render(&s, &spec, 0);
+            mean[dark][k] = kit_picture_mean(&p);
+            kit_picture_free(&p);
+        }
+        scene_release(&s);
+    }
+    for (int k = 0; k < 3; k++) {
+        assert_true(mean[1][k] > 0.3 * mean[0][k] && mean[1][k] < 0.7 * mean[0][k]);
+        assert_true(fabs(mean[1][k] / mean[1][0] - 1) < 0.02);
+    }
+}
+
 static void nothing_at_all_is_black(void **state)
 {
     (void)state;
@@ -657,6 +697,7 @@ int main(void)
         cmocka_unit_test(opacity_draws_no_direction),
         cmocka_unit_test(what_bends_nothing_hides_nothing),
         cmocka_unit_test(textured_emission_is_found_both_ways),
+        cmocka_unit_test(spheres_shine_in_their_texture),
         cmocka_unit_test(nothing_at_all_is_black),
         cmocka_unit_test(an_extent_beyond_double_is_refused),
         cmocka_unit_test(every_allocation_may_fail),

@@ -337,6 +337,45 @@ static void bumps_are_normals_of_heights(void **state)
     }
 }
 
+/* Green leans to where t grows, on a ball as on a mesh: there t grows away from the pole of +z. On
+ * balls it once leant the other way, so that a map of normals dented what its heights raised. */
+static void green_leans_to_where_t_grows(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct render_scene *built;
+    scene_init(&s);
+    uint32_t map = kit_constant_texture(&s, 0);
+    s.textures[map].color[0][0] = 0.5;
+    s.textures[map].color[0][1] = 0.75;
+    s.textures[map].color[0][2] = 0.75;
+    struct scene_material *m;
+    uint32_t leaning = kit_material(&s, SCENE_MATERIAL_PRINCIPLED, &m);
+    m->normal_texture = map;
+    kit_sphere(&s, 0, 0, 0, 1, leaning);
+    struct job_spec spec = kit_spec(8, 1);
+    assert_int_equal(scene_build(&s, &spec, NULL, &built), ERR_OK);
+    for (int i = 0; i < 100; i++) {
+        struct hit hit;
+        struct shade at;
+        struct ray ray = {.tmax = VEC_INFINITY};
+        double side = 1.8 * (i % 10 + 0.5) / 10 - 0.9, up = 0.7 * (i / 10 + 0.5) / 10 - 0.35;
+        v3_put(ray.org, v3_scale(v3_sub(v3(side, 5, up), v3_of(built->center)), built->scale));
+        v3_put(ray.dir, v3(0, -1, 0));
+        accel_closest(built->accel, &ray, &hit);
+        if (hit.object == SCENE_NONE)
+            continue;
+        shade_of_hit(built, &hit, v3(0, -1, 0), NULL, &at);
+        if (at.bent)
+            continue;
+        vec3 n = at.surface.ng, down = v3_unit(v3(n.x * n.z, n.y * n.z, n.z * n.z - 1));
+        vec3 truth = v3_unit(v3_add(n, down));
+        assert_true(v3_length(v3_sub(truth, at.surface.ns)) < 1e-6);
+    }
+    render_scene_free(built);
+    scene_release(&s);
+}
+
 /* Nothing to go by, nothing bumped: a map of one height, a mesh without coordinates. On a ball,
  * the pole is as good as any place. */
 static void bumps_without_direction(void **state)
@@ -376,6 +415,7 @@ int main(void)
         cmocka_unit_test(vertex_alphas_are_interpolated),
         cmocka_unit_test(veils_are_the_same),
         cmocka_unit_test(bumps_are_normals_of_heights),
+        cmocka_unit_test(green_leans_to_where_t_grows),
         cmocka_unit_test(bumps_without_direction),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -169,7 +169,7 @@ static void surface_of_sphere(const struct render_scene *scene, const struct ren
     if (scene->materials[object->material].needs_uv) {
         surface_sphere_uv(s->ng, &s->u, &s->v);
         s->dpdu = v3(-s->ng.y, s->ng.x, 0);
-        s->handed = 1;
+        s->handed = -1; /* v grows away from +z */
     }
 }
 

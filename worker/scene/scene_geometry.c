@@ -364,7 +364,8 @@ static bool reads_emission_colors(const struct scene *scene, const struct scene_
 }
 
 /* A material's own emission comes on top of the object's; its texture and the colours of vertices
- * count on meshes that emit by the material alone. */
+ * count where the material alone emits: the texture on spheres and meshes with texture coordinates.
+ */
 static void add_material_emission(const struct scene *scene, const struct scene_object *o,
                                   struct render_object *out)
 {
@@ -372,7 +373,7 @@ static void add_material_emission(const struct scene *scene, const struct scene_
         return;
     const struct scene_material *m = &scene->materials[o->material];
     out->radiance = rgb_add(out->radiance, rgb_of(m->emission));
-    if (o->type == SCENE_OBJECT_MESH && !o->emits && scene->meshes[o->mesh].uvs)
+    if (!o->emits && (o->type == SCENE_OBJECT_SPHERE || scene->meshes[o->mesh].uvs))
         out->emission_texture = m->emission_texture;
     out->emission_colors = reads_emission_colors(scene, o);
     out->emission_twosided =
