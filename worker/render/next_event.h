@@ -71,10 +71,14 @@ static inline double next_event_balance(double a, double b)
     return (a > b ? 1 : r) / (1 + r);
 }
 
-/* True if the surface draws the sky better by itself than the sky's points are. */
+/* True if the surface draws the sky better by itself than the sky's points are: a sharp lobe and
+ * none beside it, the same all over. */
 static inline bool next_event_is_sharp(const struct material *m)
 {
-    const double sharp = 0.15;
+    const double sharp = 0.15, sharp_roughness = 0.22;
+    if (m->type == SCENE_MATERIAL_PRINCIPLED)
+        return m->metallic == 1 && m->roughness < sharp_roughness &&
+               m->metallic_roughness_texture == SCENE_NONE;
     return (m->type == SCENE_MATERIAL_ROUGH_CONDUCTOR ||
             m->type == SCENE_MATERIAL_ROUGH_DIELECTRIC) &&
            m->alpha_x < sharp && m->alpha_y < sharp;
