@@ -90,10 +90,16 @@ def bumpy(name, rings=24, sectors=48):
 
 
 def pictures():
-    """A tile with no symmetry, and a sky with a soft sun, written as OpenEXR."""
+    """A tile with no symmetry, a leaf with a hole and a thin rim, and a sky with a soft sun, written
+    as OpenEXR."""
     y, x = np.mgrid[0:16, 0:24] + 0.5
     tile = np.stack([x / 24, y / 16, 0.2 + 0.6 * ((x // 4 + y // 4) % 2)], axis=2) * 0.8
     mi.Bitmap(tile.astype(np.float32)).write(str(FOLDER / "tile.exr"))
+    y, x = np.mgrid[0:16, 0:16] + 0.5
+    far = np.hypot(x - 8, (y - 7) * 0.8)
+    opacity = np.where(far < 6, np.where(np.hypot(x - 10, y - 5) < 1.6, 0, 1), np.where(far < 7, 0.4, 0))
+    leaf = np.stack([0.2 + x / 30, 0.8 - y / 40, 0.1 + 0.3 * ((x // 2) % 2), opacity], axis=2)
+    mi.Bitmap(leaf.astype(np.float32), mi.Bitmap.PixelFormat.RGBA).write(str(FOLDER / "leaf.exr"))
     y, x = np.mgrid[0:32, 0:64] + 0.5
     theta, phi = y / 32 * math.pi, x / 64 * 2 * math.pi
     ground = (theta > math.pi / 2)[:, :, None]
@@ -253,6 +259,41 @@ def textured():
                     mesh("bumpy.obj", "tile", transform=mirrored, translate=[0.3, -0.3, 0.4])]})
 
 
+def cut_out():
+    """Leaves that are cut out and leaves that are thin, and pictures that shine."""
+    leaf = {"type": "image", "path": "leaf.exr", "filter": "nearest",
+            "tex_coordinate_generator": {"scale": [2, 2]}}
+    glow = {"type": "image", "path": "tile.exr", "filter": "bilinear",
+            "tex_coordinate_generator": {"scale": [2, 1], "delta": [0.2, 0.1]}}
+    card = quad("card", [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], UNIT_UVS)
+
+    def paper(**more):
+        return {"type": "principled", "specular": 0, **more}
+
+    def leaning(angle, *place):
+        s, c = math.sin(angle), math.cos(angle)
+        rows = [(0.7 * c, 0, -0.7 * s), (0, 0.7, 0), (0.7 * s, 0, 0.7 * c)]
+        return {"transform": [x for r, at in zip(rows, place) for x in (*r, at)] + [0, 0, 0, 1]}
+
+    view = {"position": [0.4, 0.9, 4.5], "look_at": [0, -0.2, 0], "fov": 40}
+    write("leaves", {
+        "camera": view, "textures": {"sky": {"type": "image", "path": "sky.exr"}, "leaf": leaf},
+        "materials": {"ground": diffuse([0.6, 0.5, 0.4]),
+                      "cut": paper(texture_name="leaf", alpha_mode="mask"),
+                      "thin": paper(texture_name="leaf", alpha_mode="blend", alpha=0.8)},
+        "environment_map": {"texture_name": "sky"},
+        "objects": [mesh(floor("floor", -1, 4), "ground"), mesh(card, "cut", **leaning(0.4, -0.6, -0.2, 0)),
+                    mesh(card, "thin", **leaning(-0.5, 0.7, -0.1, 0.3)),
+                    sphere([0, -0.4, -1.2], 0.6, "cut")]},
+          max_depth=32)  # of which Mitsuba takes one for each surface that lets a ray through
+    write("glow", {
+        "camera": view, "textures": {"glow": glow},
+        "materials": {"ground": diffuse([0.6, 0.5, 0.4]),
+                      "glow": paper(color=0.3, emission=[3, 3, 3], emission_texture="glow")},
+        "objects": [mesh(floor("floor", -1, 4), "ground"), mesh(card, "glow", **leaning(-0.4, -0.9, -0.1, -0.4)),
+                    sphere([0.7, -0.4, 0], 0.5, "glow")]})
+
+
 def lights():
     grey = {"grey": diffuse(0.6), "two": diffuse([0.3, 0.6, 0.5], twosided=True),
             "one": diffuse([0.6, 0.5, 0.3])}
@@ -314,6 +355,7 @@ def main():
     dielectrics()
     metals()
     textured()
+    cut_out()
     lights()
     cameras()
     return 0

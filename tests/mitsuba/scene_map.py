@@ -122,8 +122,8 @@ class SceneMap:
             wrap = wrap[0]
         pixels = np.ascontiguousarray(self._image(texture)[::-1] * factor.astype(np.float32))
         return {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True,
-                "to_uv": self._uv_matrix(texture), "format": "variant", "filter_type": "bilinear",
-                "wrap_mode": wrap}
+                "to_uv": self._uv_matrix(texture), "format": "variant", "wrap_mode": wrap,
+                "filter_type": "nearest" if texture.get("filter") == "nearest" else "bilinear"}
 
     def _colour(self, material, old_key):
         if "texture_name" in material:
@@ -137,7 +137,29 @@ class SceneMap:
         return {"distribution": material.get("distribution", "beckmann"),
                 "alpha_u": material.get("alpha_x", 0.1), "alpha_v": material.get("alpha_y", 0.1)}
 
+    def _paper(self, m):
+        """Diffuse on both sides, and as opaque as its picture is."""
+        made = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": self._colour(m, "color")}}
+        mode = m.get("alpha_mode", "opaque")
+        if mode == "opaque":
+            return made
+        texture = self.json["textures"][m["texture_name"]]
+        if texture.get("filter") != "nearest":
+            raise NotMapped("opacity that is not looked up at texels")
+        bitmap = mi.Bitmap(str(self.folder / texture["path"]))
+        opacity = np.array(bitmap, dtype=np.float32)[::-1, :, 3] * np.float32(m.get("alpha", 1))
+        if mode == "mask":
+            opacity = (opacity >= m.get("alpha_cutoff", 0.5)).astype(np.float32)
+        bitmap = mi.Bitmap(np.ascontiguousarray(np.repeat(opacity[:, :, None], 3, axis=2)))
+        return {"type": "mask", "bsdf": made,
+                "opacity": {"type": "bitmap", "bitmap": bitmap, "raw": True, "format": "variant",
+                            "to_uv": self._uv_matrix(texture), "filter_type": "nearest"}}
+
     def _principled(self, m):
+        layers = ("transmission", "clearcoat", "sheen_color", "metallic_roughness_texture",
+                  "normal_texture", "bump_texture", "vertex_colors", "backface_culling")
+        if m.get("metallic", 0) == 0 and m.get("specular") == 0 and not any(k in m for k in layers):
+            return self._paper(m)
         if m.get("metallic", 0) != 1 or any(k in m for k in (
                 "transmission", "clearcoat", "sheen_color", "metallic_roughness_texture",
                 "normal_texture", "alpha", "alpha_mode", "emission")):
@@ -206,6 +228,14 @@ class SceneMap:
         made["bsdf"] = self._material(o.get("material_name"))
         if "light" in o:
             made["emitter"] = {"type": "area", "radiance": _rgb(o["light"].get("radiance", 1))}
+        material = self.json.get("materials", {}).get(o.get("material_name"), {})
+        if "emission" in material:
+            if "light" in o or "emission_twosided" in material:
+                raise NotMapped("emission on both sides, or beside a light")
+            shines = _rgb(material["emission"])
+            if "emission_texture" in material:
+                shines = self._texture(material["emission_texture"], material["emission"])
+            made["emitter"] = {"type": "area", "radiance": shines}
         return made
 
     @staticmethod

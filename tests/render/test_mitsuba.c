@@ -294,6 +294,8 @@ int main(void)
         SCENE(textured_mesh),
         SCENE(sky_alone),
         SCENE(spheres_uv),
+        SCENE(leaves),
+        SCENE(glow),
         SCENE(punctual),
         SCENE(sides),
         SCENE(thin_lens),
