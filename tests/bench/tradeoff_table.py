@@ -44,7 +44,7 @@ def main():
              [next(f"{figure(p['core_seconds']['value'])}, {figure(p['relmse']['value'])}"
                    for p in s["points"] if p["base"]) for _, s in studies]),
             ("relMSE of the references", [figure(s["reference"]["relmse"]) for _, s in studies]),
-            ("set-up core-seconds: sah, median",
+            ("set-up core-seconds: " + ", ".join(studies[0][1]["setup_core_seconds"]),
              [", ".join(figure(v) for v in s["setup_core_seconds"].values()) for _, s in studies])]
     for name, cells in rows:
         print(f"| {name} | " + " | ".join(cells) + " |")
