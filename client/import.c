@@ -167,6 +167,10 @@ static void tell_left_out(struct import *im)
         import_warn(im, "left-out", NULL,
                     "points and lines have no surface and are left out: %llu points, %llu lines",
                     (unsigned long long)im->point_count, (unsigned long long)im->line_count);
+    if (im->unsmoothed_count > 0)
+        import_warn(im, "left-out", "export the model with its normals",
+                    "smoothing groups without normals are left out: %llu faces are flat",
+                    (unsigned long long)im->unsmoothed_count);
 }
 
 static enum err refuse_empty(struct import *im)

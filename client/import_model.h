@@ -41,6 +41,7 @@ struct import {
     uint64_t source_bytes; /* of the files read */
     uint64_t vertex_count; /* seen, for what to say of a model without a face */
     uint64_t point_count, line_count; /* elements left out */
+    uint64_t unsmoothed_count;        /* faces without the normals that would round them */
     uint64_t told;                    /* bit per IMPORT_ONCE: what has been said */
     /* Of a scene that comes from the child, one for each object: the node that shows it, nodes
      * counted breadth first; SCENE_NONE if its vertices are in the world. Else empty. */

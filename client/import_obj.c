@@ -480,6 +480,7 @@ enum err import_obj(struct import *im, const char *text, size_t bytes)
     im->vertex_count += model.position_count;
     im->point_count += model.point_count;
     im->line_count += model.line_count;
+    im->unsmoothed_count += model.unsmoothed_count;
     enum err e = find_libraries(im, &model, &shelf);
     if (e == ERR_OK)
         e = add_parts(im, &model, &shelf);

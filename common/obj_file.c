@@ -40,6 +40,7 @@ struct parser {
     size_t triangle_count, triangle_capacity;
     struct name_table materials, groups, libraries;
     uint32_t material, group;
+    bool smooths; /* the faces that follow belong to a smoothing group */
     struct forward *forwards;
     size_t forward_count, forward_capacity;
     struct obj_corner *corners; /* of the face being read */
@@ -48,7 +49,7 @@ struct parser {
     size_t outline_capacity;
     uint32_t (*split)[3];
     size_t split_capacity;
-    size_t point_count, line_count, degenerate_count, odd_count, dangling_count;
+    size_t point_count, line_count, unsmoothed_count, degenerate_count, odd_count, dangling_count;
     uint64_t degenerate_line, odd_line, dangling_line;
 };
 
@@ -308,6 +309,7 @@ static void add_face(struct parser *p)
         return;
     }
     polygon_split(p->outline, p->corner_count, p->split);
+    p->unsmoothed_count += p->smooths && p->corners[0].normal == OBJ_NONE;
     for (size_t t = 0; t < count; t++) {
         struct obj_triangle *triangle = &p->triangles[p->triangle_count++];
         *triangle = (struct obj_triangle){.material = p->material, .group = p->group};
@@ -355,6 +357,14 @@ static bool is_word(const char *word, size_t bytes, const char *what)
     return strlen(what) == bytes && memcmp(word, what, bytes) == 0;
 }
 
+/* The number of a smoothing group; 0 and "off" are none. */
+static void parse_smoothing(struct parser *p)
+{
+    const char *name;
+    size_t bytes = take_name(p, &name);
+    p->smooths = bytes > 0 && !is_word(name, bytes, "0") && !is_word(name, bytes, "off");
+}
+
 static void parse_line(struct parser *p)
 {
     uint32_t unused;
@@ -377,6 +387,8 @@ static void parse_line(struct parser *p)
         parse_name(p, &p->groups, &p->group);
     else if (is_word(word, bytes, "mtllib"))
         parse_name(p, &p->libraries, &unused);
+    else if (is_word(word, bytes, "s"))
+        parse_smoothing(p);
     else if (is_word(word, bytes, "p"))
         p->point_count++;
     else if (is_word(word, bytes, "l"))
@@ -460,6 +472,7 @@ static void give_model(struct parser *p, struct obj_model *out)
         .triangle_count = p->triangle_count,
         .point_count = p->point_count,
         .line_count = p->line_count,
+        .unsmoothed_count = p->unsmoothed_count,
     };
     take_names(&p->materials, &out->material_names, &out->material_count);
     take_names(&p->groups, &out->group_names, &out->group_count);

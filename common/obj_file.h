@@ -1,9 +1,10 @@
 /* common/obj_file.h: Wavefront OBJ, read in double, with everything the importer needs.
  *
  * v (also "x y z r g b", colours sRGB-encoded from 0 to 1), vt, vn, f (negative indices, polygons),
- * o, g, usemtl, mtllib, line continuation; points and lines are counted and left out; smoothing
- * groups, curves and other keywords are skipped. Polygons are triangulated by ear clipping in the
- * polygon's own plane. Problems carry file:line. Pure apart from memory; one thread.
+ * o, g, usemtl, mtllib, line continuation; points and lines are counted and left out; faces that a
+ * smoothing group (s) would round but that have no normals are counted, and flat; curves and other
+ * keywords are skipped. Polygons are triangulated by ear clipping in the polygon's own plane.
+ * Problems carry file:line. Pure apart from memory; one thread.
  */
 #ifndef COMMON_OBJ_FILE_H
 #define COMMON_OBJ_FILE_H
@@ -39,6 +40,7 @@ struct obj_model {
     char **libraries; /* mtllib, as written */
     size_t library_count;
     size_t point_count, line_count; /* elements left out */
+    size_t unsmoothed_count;        /* faces of a smoothing group without normals: flat here */
 };
 
 /* You release `out`. ERR_INPUT with problems (an index out of range, a coordinate that is not

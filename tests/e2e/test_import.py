@@ -92,6 +92,14 @@ def write_png(path, rows, bits=8):
                      chunk(b"IDAT", zlib.compress(body)) + chunk(b"IEND", b""))
 
 
+def test_smoothing_without_normals_is_said_once(tmp_path):
+    (tmp_path / "m.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1 2 3\ns 1\nf 1 2 3\nf 1//1 2//1 3//1\ns off\nf 1 2 3\n"
+        "s 7\nf 3 2 1\ns 0\nf 1 2 3\n")
+    _, said = imported(tmp_path, "m.obj")
+    assert said.count("smoothing groups without normals are left out: 2 faces are flat") == 1
+
+
 def test_bump_maps(tmp_path):
     """Heights become a bump map in a hundredth of the size, normals in disguise a normal map."""
     write_png(tmp_path / "heights.png", [[(x * y) % 256 for x in range(32)] for y in range(32)])
