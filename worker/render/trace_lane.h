@@ -115,15 +115,6 @@ static inline bool lane_woop(const struct trace_ray *r, const struct bvh_leaf *l
     return __builtin_expect(lane_near(r, &e), 1) || lane_woop_scalar(r, leaf, lane, out);
 }
 
-/* The same for a lane that is certain to be accepted, and near if the slack is a whole one. */
-static inline void lane_certain(const struct trace_ray *r, const struct bvh_leaf *leaf,
-                                unsigned lane, struct leaf_hit *out)
-{
-    struct lane_edges e;
-    lane_edges_of(r, leaf, lane, &e);
-    lane_hit(r, &e, out);
-}
-
 #else
 
 static inline bool lane_woop(const struct trace_ray *r, const struct bvh_leaf *leaf, unsigned lane,
@@ -132,6 +123,11 @@ static inline bool lane_woop(const struct trace_ray *r, const struct bvh_leaf *l
     return lane_woop_scalar(r, leaf, lane, out);
 }
 
+#endif
+
+/* The same for a lane that is certain to be accepted, and near if the slack is a whole one. In
+ * scalars everywhere: it is what a ray waits for last, and they wait for each other less than
+ * vectors do. */
 static inline void lane_certain(const struct trace_ray *r, const struct bvh_leaf *leaf,
                                 unsigned lane, struct leaf_hit *out)
 {
@@ -145,7 +141,5 @@ static inline void lane_certain(const struct trace_ray *r, const struct bvh_leaf
     out->vw = _mm_setr_pd(e.v, e.w);
     out->det = e.det;
 }
-
-#endif
 
 #endif
