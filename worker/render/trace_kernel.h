@@ -131,29 +131,32 @@ static inline const struct bvh_leaf *leaf_of(const struct accel *a, const struct
 
 /* --- Spheres and instances ------------------------------------------------ */
 
-static void mesh_closest(const struct accel *a, const struct bvh *tree, const struct trace_ray *r,
-                         double tmin, uint32_t object, struct trace_best *best);
+static void mesh_closest(const struct accel *a, const struct bvh *tree, uint32_t start,
+                         const struct trace_ray *r, double tmin, uint32_t object,
+                         struct trace_best *best);
 static bool mesh_any(const struct accel *a, const struct bvh *tree, const struct trace_ray *r,
                      double tmin, double tmax);
 
-/* Moves a ray to an instance; false if it meets none of the boxes of the mesh's root there, which
- * is so of most whose own box it meets. */
-static inline bool instance_enter(const struct accel *a, const struct bvh *tree, uint32_t number,
-                                  const struct trace_ray *r, double tmin, double tmax,
-                                  struct trace_ray *inner)
+/* Moves a ray to an instance. Returns where in the mesh's tree to start: at the root, at the only
+ * child of it that the ray meets, or nowhere, which is so of most whose own box it meets. */
+static inline uint32_t instance_enter(const struct accel *a, const struct bvh *tree,
+                                      uint32_t number, const struct trace_ray *r, double tmin,
+                                      double tmax, struct trace_ray *inner)
 {
     struct ready_way way;
     struct slabs slabs;
     f8 entry;
     if (!ready_instance_boxes(a, number, r, inner, &way))
-        return false;
+        return BVH_EMPTY;
     struct leaf_span span = leaf_span_of(tmin * inner->unscale, tmax * inner->unscale);
     slabs_init(&slabs, inner);
-    if (!m8_bits(node_meet(bvh_node_at(tree->arena, tree->root), &slabs, inner->row,
-                           f8_splat(span.from), f8_splat(span.to), &entry)))
-        return false;
+    const struct bvh_node *root = bvh_node_at(tree->arena, tree->root);
+    unsigned mask = m8_bits(
+        node_meet(root, &slabs, inner->row, f8_splat(span.from), f8_splat(span.to), &entry));
+    if (!mask)
+        return BVH_EMPTY;
     ready_instance_triangles(a, number, &way, inner);
-    return true;
+    return mask & (mask - 1) ? tree->root : root->child[__builtin_ctz(mask)];
 }
 
 static __attribute__((noinline)) void object_closest(const struct accel *a,
@@ -170,11 +173,12 @@ static __attribute__((noinline)) void object_closest(const struct accel *a,
     }
     struct trace_ray inner;
     double t = best->t, tmax = best->tmax;
-    if (!instance_enter(a, tree, number, r, tmin, t, &inner))
+    uint32_t start = instance_enter(a, tree, number, r, tmin, t, &inner);
+    if (start == BVH_EMPTY)
         return;
     best->t = t * inner.unscale;
     best->tmax = tmax * inner.unscale;
-    mesh_closest(a, tree, &inner, tmin * inner.unscale, number, best);
+    mesh_closest(a, tree, start, &inner, tmin * inner.unscale, number, best);
     best->tmax = tmax;
     best->t = best->found && best->object == number ? best->t * inner.rescale : t;
 }
@@ -198,8 +202,8 @@ static __attribute__((noinline)) bool object_any(const struct accel *a, const st
 
 /* --- One ray -------------------------------------------------------------- */
 
-/* Leaves the nearest certain hit in `out`, to be settled. */
-static inline void walk_closest(const struct accel *a, const struct bvh *tree,
+/* From `start` down. Leaves the nearest certain hit in `out`, to be settled. */
+static inline void walk_closest(const struct accel *a, const struct bvh *tree, uint32_t start,
                                 const struct trace_ray *r, double tmin, uint32_t object,
                                 struct leaf_pending *out, struct trace_best *best)
 {
@@ -207,7 +211,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree,
     uint32_t refs[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
     const unsigned char *arena = tree->arena;
     const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
-    uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
+    uint32_t edge_bits = float_bits(tree->edge_unit), ref = start, top = 0, put_off = 0;
     const bool ahead = tree->bytes > AHEAD_MIN;
     struct slabs slabs;
     slabs_init(&slabs, r);
@@ -340,11 +344,12 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
 }
 
 static __attribute__((noinline)) void mesh_closest(const struct accel *a, const struct bvh *tree,
-                                                   const struct trace_ray *r, double tmin,
-                                                   uint32_t object, struct trace_best *best)
+                                                   uint32_t start, const struct trace_ray *r,
+                                                   double tmin, uint32_t object,
+                                                   struct trace_best *best)
 {
     struct leaf_pending pending;
-    walk_closest(a, tree, r, tmin, object, &pending, best);
+    walk_closest(a, tree, start, r, tmin, object, &pending, best);
     pending_settle(a, r, tmin, object, &pending, best);
 }
 
@@ -376,7 +381,7 @@ static void kernel_closest(const struct accel *a, const struct ray *ray, struct 
             return;
         }
         best.t = best.tmax;
-        mesh_closest(a, &a->scene_tree, &ready, tmin, SCENE_NONE, &best);
+        mesh_closest(a, &a->scene_tree, a->scene_tree.root, &ready, tmin, SCENE_NONE, &best);
     }
     if (best.found)
         ready_hit(a, &ready, &best, out);
@@ -466,8 +471,8 @@ static void few_closest(const struct accel *a, const struct ray *rays, const uin
         for (size_t i = 0; i < used; i++) {
             struct guest *g = &guests[i];
             if (g->way == GUEST_WALKS)
-                walk_closest(a, &a->scene_tree, &g->ray, g->tmin, SCENE_NONE, &g->pending,
-                             &g->best);
+                walk_closest(a, &a->scene_tree, a->scene_tree.root, &g->ray, g->tmin, SCENE_NONE,
+                             &g->pending, &g->best);
         }
         for (size_t i = 0; i < used; i++) {
             struct guest *g = &guests[i];
