@@ -34,17 +34,14 @@ enum {
 
 /* --- Boxes ---------------------------------------------------------------- */
 
-struct slabs {
-    f8 inverse[3], near_offset[3], far_offset[3];
-};
-
-static inline void slabs_init(struct slabs *s, const struct trace_ray *r)
+/* The same ray, but to the compiler: so that it reads the slabs' constants where they are used, one
+ * load each, rather than make vectors of them for all of a walk, for which it has no registers. */
+static inline const struct trace_ray *ray_in_memory(const struct trace_ray *r)
 {
-    for (int k = 0; k < 3; k++) {
-        s->inverse[k] = f8_splat(r->inverse[k]);
-        s->near_offset[k] = f8_splat(r->near_offset[k]);
-        s->far_offset[k] = f8_splat(r->far_offset[k]);
-    }
+#ifdef __AVX2__
+    __asm__("" : "+r"(r));
+#endif
+    return r;
 }
 
 /* The boxes' planes that a row's bytes lead to. */
@@ -54,13 +51,15 @@ static inline f8 node_planes(const struct bvh_node *node, uint32_t row)
 }
 
 /* Which children's widened boxes the ray meets within [from, to], and where it enters. */
-static inline m8 node_meet(const struct bvh_node *node, const struct slabs *s,
-                           const uint32_t row[3], f8 from, f8 to, f8 *entry)
+static inline m8 node_meet(const struct bvh_node *node, const struct trace_ray *r, f8 from, f8 to,
+                           f8 *entry)
 {
     f8 near[3], far[3];
     for (int k = 0; k < 3; k++) {
-        near[k] = f8_mulsub(node_planes(node, row[k]), s->inverse[k], s->near_offset[k]);
-        far[k] = f8_mulsub(node_planes(node, row[k] ^ TRACE_ROW), s->inverse[k], s->far_offset[k]);
+        f8 inverse = f8_splat(r->inverse[k]);
+        near[k] = f8_mulsub(node_planes(node, r->row[k]), inverse, f8_splat(r->near_offset[k]));
+        far[k] = f8_mulsub(node_planes(node, r->row[k] ^ TRACE_ROW), inverse,
+                           f8_splat(r->far_offset[k]));
     }
     /* In pairs, which takes less time; what is not a number is ignored, and what it met with it. */
     *entry = f8_max(f8_max(near[0], near[1]), f8_max(near[2], from));
@@ -144,15 +143,12 @@ static inline uint32_t instance_enter(const struct accel *a, const struct bvh *t
                                       double tmax, struct trace_ray *inner)
 {
     struct ready_way way;
-    struct slabs slabs;
     f8 entry;
     if (!ready_instance_boxes(a, number, r, inner, &way))
         return BVH_EMPTY;
     struct leaf_span span = leaf_span_of(tmin * inner->unscale, tmax * inner->unscale);
-    slabs_init(&slabs, inner);
     const struct bvh_node *root = bvh_node_at(tree->arena, tree->root);
-    unsigned mask = m8_bits(
-        node_meet(root, &slabs, inner->row, f8_splat(span.from), f8_splat(span.to), &entry));
+    unsigned mask = m8_bits(node_meet(root, inner, f8_splat(span.from), f8_splat(span.to), &entry));
     if (!mask)
         return BVH_EMPTY;
     ready_instance_triangles(a, number, &way, inner);
@@ -210,11 +206,8 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree, u
     uint32_t keys[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
     uint32_t refs[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
     const unsigned char *arena = tree->arena;
-    const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = start, top = 0, put_off = 0;
     const bool ahead = tree->bytes > AHEAD_MIN;
-    struct slabs slabs;
-    slabs_init(&slabs, r);
     struct leaf_span span = leaf_span_left(tmin, best);
     struct leaf_pending pending = {.leaf = NULL, .open = NULL};
     f8 from = f8_splat(span.from), entry;
@@ -224,7 +217,7 @@ static inline void walk_closest(const struct accel *a, const struct bvh *tree, u
         case BVH_NODE: {
             const struct bvh_node *node = bvh_node_at(arena, ref);
             COUNT(nodes);
-            m8 met = node_meet(node, &slabs, row, from, f8_splat(span.to), &entry);
+            m8 met = node_meet(node, ray_in_memory(r), from, f8_splat(span.to), &entry);
             unsigned mask = m8_bits(met);
             if (ahead)
                 prefetch_behind(node);
@@ -280,12 +273,9 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
     uint32_t keys[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
     uint32_t refs[BVH_STACK + STACK_SLACK] __attribute__((aligned(64)));
     const unsigned char *arena = tree->arena;
-    const uint32_t row[3] = {r->row[0], r->row[1], r->row[2]};
     uint32_t edge_bits = float_bits(tree->edge_unit), ref = tree->root, top = 0, put_off = 0;
     LEAF_ROOM(room, 1);
     const bool ahead = tree->bytes > AHEAD_MIN;
-    struct slabs slabs;
-    slabs_init(&slabs, r);
     const struct leaf_span span = leaf_span_of(tmin, tmax);
     f8 from = f8_splat(span.from), to = f8_splat(span.to), entry;
     const bool sorted = a->motions != NULL || a->lazy != NULL;
@@ -295,7 +285,7 @@ static inline __attribute__((always_inline)) bool walk_any(const struct accel *a
         case BVH_NODE: {
             const struct bvh_node *node = bvh_node_at(arena, ref);
             COUNT(nodes);
-            m8 met = node_meet(node, &slabs, row, from, to, &entry);
+            m8 met = node_meet(node, ray_in_memory(r), from, to, &entry);
             unsigned mask = m8_bits(met);
             if (ahead)
                 prefetch_behind(node);
@@ -508,7 +498,6 @@ static void few_occluded(const struct accel *a, const struct ray *rays, const ui
 
 /* A ray under way. */
 struct runner {
-    struct slabs slabs;
     struct trace_ray ray;
     struct trace_best best; /* any hit: t is tmax */
     struct leaf_span span;
@@ -531,7 +520,6 @@ static bool runner_start(struct runner *s, const struct accel *a, const struct r
     if (!ready_scene_ray(a, ray, &s->ray, &tmin, &s->best.tmax))
         return false;
     s->best.t = s->best.tmax;
-    slabs_init(&s->slabs, &s->ray);
     s->span = leaf_span_of(tmin, s->best.t);
     s->pending.leaf = s->pending.open = NULL;
     s->ref = a->scene_tree.root;
@@ -548,8 +536,7 @@ static inline bool runner_step_closest(struct runner *s, const struct accel *a, 
         const struct bvh_node *node = bvh_node_at(arena, s->ref);
         f8 entry;
         COUNT(nodes);
-        m8 met = node_meet(node, &s->slabs, s->ray.row, f8_splat(s->span.from),
-                           f8_splat(s->span.to), &entry);
+        m8 met = node_meet(node, &s->ray, f8_splat(s->span.from), f8_splat(s->span.to), &entry);
         unsigned mask = m8_bits(met);
         if (!mask)
             break;
@@ -609,8 +596,7 @@ static inline bool runner_step_any(struct runner *s, const struct accel *a, uint
         const struct bvh_node *node = bvh_node_at(arena, s->ref);
         f8 entry;
         COUNT(nodes);
-        m8 met = node_meet(node, &s->slabs, s->ray.row, f8_splat(s->span.from),
-                           f8_splat(s->span.to), &entry);
+        m8 met = node_meet(node, &s->ray, f8_splat(s->span.from), f8_splat(s->span.to), &entry);
         unsigned mask = m8_bits(met);
         if (!mask)
             break;
