@@ -83,7 +83,12 @@ static bool count_package(struct facts *f, const struct package *p)
 
 static const char *kind_name(enum package_kind kind)
 {
-    return kind == PACKAGE_ROOT ? "tables" : kind == PACKAGE_MESH ? "mesh" : "picture";
+    static const char *const names[] = {[PACKAGE_ROOT] = "tables",
+                                        [PACKAGE_MESH] = "mesh",
+                                        [PACKAGE_IMAGE] = "picture",
+                                        [PACKAGE_BASE] = "base",
+                                        [PACKAGE_PIECE] = "piece"};
+    return names[kind];
 }
 
 /* --- JSON ---------------------------------------------------------------- */

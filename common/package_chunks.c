@@ -1,5 +1,6 @@
-/* The chunks of one mesh or one image: arrays and samples to bytes and back, every size and index
- * checked before it is used. Owns the layouts TLYM and TLYI; no state, any thread. */
+/* The chunks of one mesh or one image, or of its base: arrays and samples to bytes and back, every
+ * size and index checked before it is used. Owns the layouts TLYM, TLYI and TLYB; no state, any
+ * thread. */
 #include <math.h>
 #include <string.h>
 
@@ -7,9 +8,12 @@
 #include "common/model_file.h"
 #include "common/package_codec.h"
 #include "common/package_filter.h"
+#include "common/package_split.h"
+#include "common/pyramid.h"
 
 static const char mesh_magic[4] = {'T', 'L', 'Y', 'M'};
 static const char image_magic[4] = {'T', 'L', 'Y', 'I'};
+static const char base_magic[4] = {'T', 'L', 'Y', 'B'};
 
 enum {
     MESH_HAS_NORMALS = 1,
@@ -178,11 +182,17 @@ static size_t sample_bytes(enum scene_image_format format)
     return format == SCENE_IMAGE_F32 ? sizeof(float) : 1;
 }
 
+uint64_t package_image_chunk_bytes(const struct scene_image *image, unsigned stored)
+{
+    return HEAD_BYTES + 5 * sizeof(uint32_t) +
+           (uint64_t)image->width * image->height * sample_bytes(image->format) *
+               (uint64_t)__builtin_popcount(stored);
+}
+
 uint64_t package_image_bytes(const struct scene_image *image)
 {
-    return HEAD_BYTES + 5 * sizeof(uint32_t) + CODEC_ENTRY_BYTES +
-           (uint64_t)image->width * image->height * image->channel_count *
-               sample_bytes(image->format);
+    return package_image_chunk_bytes(image, (1u << image->channel_count) - 1) + CODEC_ENTRY_BYTES +
+           CODEC_PIECES_BYTES;
 }
 
 /* One channel of a float picture lies between the others: its words go through a row of their
@@ -226,15 +236,20 @@ static enum err put_planes(const struct scene_image *image, unsigned stored, str
     return row ? ERR_OK : ERR_NOMEM;
 }
 
-enum err package_image_put(const struct scene_image *image, unsigned stored, struct buf *out)
+static void put_head(const struct scene_image *image, unsigned stored, struct buf *out)
 {
-    struct codec c = {.out = out};
-    codec_magic(&c, image_magic);
     buf_put_u32(out, image->width);
     buf_put_u32(out, image->height);
     buf_put_u32(out, image->channel_count);
     buf_put_u32(out, (uint32_t)image->format);
     buf_put_u32(out, stored);
+}
+
+enum err package_image_put(const struct scene_image *image, unsigned stored, struct buf *out)
+{
+    struct codec c = {.out = out};
+    codec_magic(&c, image_magic);
+    put_head(image, stored, out);
     TL_TRY(put_planes(image, stored, out));
     return codec_end(&c);
 }
@@ -258,34 +273,112 @@ static void get_planes(struct codec *c, unsigned stored, const struct scene_imag
     mem_free(row);
 }
 
+/* Sizes, format and stored channels of a picture; the codec has failed if they cannot be. */
+static unsigned get_head(struct codec *c, struct scene_image *image)
+{
+    uint32_t stored = 0;
+    codec_u32(c, &image->width);
+    codec_u32(c, &image->height);
+    codec_u32(c, &image->channel_count);
+    codec_enum(c, &image->format, SCENE_IMAGE_U8_LINEAR);
+    codec_u32(c, &stored);
+    if (c->in->failed || image->width > SCENE_IMAGE_SIDE_MAX ||
+        image->height > SCENE_IMAGE_SIDE_MAX || image->channel_count > 4 || stored == 0 ||
+        stored >> image->channel_count)
+        codec_fail(c, ERR_CORRUPT);
+    return stored;
+}
+
+/* Bytes of the stored planes: at most 2^15 * 2^15 * 4 samples, no overflow. */
+static size_t planes_bytes(const struct scene_image *image, unsigned stored)
+{
+    return (size_t)image->width * image->height * sample_bytes(image->format) *
+           (size_t)__builtin_popcount(stored);
+}
+
+/* Zeroed pixels, filled from the planes, which are there. Of four channels, one may have to fill
+ * all. */
+static void get_pixels(struct codec *c, unsigned stored, struct scene_image *image)
+{
+    size_t plane = (size_t)image->width * image->height * sample_bytes(image->format);
+    image->pixels = mem_calloc(plane, image->channel_count);
+    if (image->pixels)
+        get_planes(c, stored, image);
+    else
+        codec_fail(c, ERR_NOMEM);
+}
+
 enum err package_image_get(const void *data, size_t bytes, struct scene_image *image)
 {
     struct buf_reader in = buf_reader_of(data, bytes);
     struct codec c = {.in = &in};
-    uint32_t stored = 0;
     codec_magic(&c, image_magic);
-    codec_u32(&c, &image->width);
-    codec_u32(&c, &image->height);
-    codec_u32(&c, &image->channel_count);
-    codec_enum(&c, &image->format, SCENE_IMAGE_U8_LINEAR);
-    codec_u32(&c, &stored);
-    if (in.failed || image->width > SCENE_IMAGE_SIDE_MAX || image->height > SCENE_IMAGE_SIDE_MAX ||
-        image->channel_count > 4 || stored == 0 || stored >> image->channel_count)
+    unsigned stored = get_head(&c, image);
+    if (c.error == ERR_OK && planes_bytes(image, stored) != buf_left(&in))
         codec_fail(&c, ERR_CORRUPT);
     if (c.error != ERR_OK)
-        return codec_end(&c);
-    /* At most 2^15 * 2^15 * 4 samples: no overflow. Of four channels, one may have to fill all. */
-    size_t plane = (size_t)image->width * image->height * sample_bytes(image->format);
-    if (plane * (size_t)__builtin_popcount(stored) != buf_left(&in))
-        return ERR_CORRUPT;
-    image->pixels = mem_calloc(plane, image->channel_count);
-    if (!image->pixels)
-        return ERR_NOMEM;
-    get_planes(&c, stored, image);
+        return c.error;
+    get_pixels(&c, stored, image);
     enum err e = codec_end(&c);
     if (e != ERR_OK) {
         mem_free(image->pixels);
         image->pixels = NULL;
     }
+    return e;
+}
+
+/* --- Bases --------------------------------------------------------------- */
+
+enum err package_base_put(const struct package_base *base, const digest *detail, unsigned stored,
+                          struct buf *out)
+{
+    struct codec c = {.out = out};
+    codec_magic(&c, base_magic);
+    buf_put(out, detail->bytes, DIGEST_BYTES);
+    put_head(&base->picture, stored, out);
+    for (uint32_t i = 0; i < base->level_count; i++)
+        TL_TRY(put_planes(&base->levels[i], stored, out));
+    return codec_end(&c);
+}
+
+void package_base_release(struct package_base *base)
+{
+    for (uint32_t i = 0; i < base->level_count; i++)
+        mem_free(base->levels[i].pixels);
+    *base = (struct package_base){0};
+}
+
+enum err package_base_get(const void *data, size_t bytes, struct package_base *out)
+{
+    struct buf_reader in = buf_reader_of(data, bytes);
+    struct codec c = {.in = &in};
+    struct package_base base = {0};
+    digest detail;
+    codec_magic(&c, base_magic);
+    codec_bytes(&c, detail.bytes, DIGEST_BYTES);
+    unsigned stored = get_head(&c, &base.picture);
+    if (c.error == ERR_OK && !pyramid_can_be_pieces(&base.picture))
+        codec_fail(&c, ERR_CORRUPT);
+    struct scene_image level = base.picture;
+    level.width >>= PYRAMID_PIECE_LEVELS;
+    level.height >>= PYRAMID_PIECE_LEVELS;
+    while (c.error == ERR_OK) {
+        if (planes_bytes(&level, stored) > buf_left(&in)) {
+            codec_fail(&c, ERR_CORRUPT);
+            break;
+        }
+        struct scene_image *at = &base.levels[base.level_count++];
+        *at = level;
+        get_pixels(&c, stored, at);
+        if (level.width == 1 && level.height == 1)
+            break;
+        level.width = pyramid_half(level.width);
+        level.height = pyramid_half(level.height);
+    }
+    enum err e = codec_end(&c);
+    if (e == ERR_OK)
+        *out = base;
+    else
+        package_base_release(&base);
     return e;
 }

@@ -53,6 +53,8 @@ enum {
     CODEC_LIGHT_BYTES = 4 + 72 + 16,
     CODEC_ENTRY_BYTES = DIGEST_BYTES + 8,
     CODEC_NAME_BYTES = 4,
+    CODEC_PIECES_BYTES = 1,  /* whether an image is in pieces */
+    CODEC_PIECED_BYTES = 16, /* what is told of one that is, but for their numbers */
 };
 
 /* Everything of a scene but the contents of meshes and images. */
@@ -70,10 +72,18 @@ TL_NODISCARD enum err package_image_put(const struct scene_image *image, unsigne
                                         struct buf *out);
 TL_NODISCARD enum err package_image_get(const void *data, size_t bytes, struct scene_image *image);
 
+/* A base of levels (rounded, without pixels that are not stored). `detail` tells the pieces that
+ * belong to it from others. */
+TL_NODISCARD enum err package_base_put(const struct package_base *base, const digest *detail,
+                                       unsigned stored, struct buf *out);
+
 /* What a mesh and an image cost in a package when nothing is left out, their entries in the root
  * included. */
 uint64_t package_mesh_bytes(const struct scene_mesh *m);
 uint64_t package_image_bytes(const struct scene_image *image);
+
+/* The plain bytes of an image's chunk with these channels. */
+uint64_t package_image_chunk_bytes(const struct scene_image *image, unsigned stored);
 
 /* ERR_OK only if nothing failed and, reading, no byte is left. */
 TL_NODISCARD enum err codec_end(const struct codec *c);

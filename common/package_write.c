@@ -1,9 +1,12 @@
 /* A scene to a package: what is used, renumbered, as a root chunk and a chunk for each mesh and
- * image. Owns the trimmed copy and the chunks until they are given away; no state, any thread. */
+ * image, or several for a large image. Owns the trimmed copy and the chunks until they are given
+ * away; no state, any thread. */
 #include <string.h>
 
 #include "common/mem.h"
 #include "common/package_codec.h"
+#include "common/package_late.h"
+#include "common/package_split.h"
 #include "common/package_trim.h"
 #include "common/parallel.h"
 
@@ -18,12 +21,23 @@ const char *const package_left_why[PACKAGE_LEFT_COUNT] = {
 #undef PACKAGE_LEFT_WHY
 };
 
+/* An image in pieces, as the root tells of it. */
+struct pieced {
+    struct scene_image picture; /* without pixels */
+    uint32_t *numbers;          /* owned; of its pieces; NULL: the image is one chunk */
+    size_t count;
+};
+
 /* A shallow copy of the scene that keeps only what the plan does, renumbered. Names, pixels and
  * vertices still belong to the original. */
 struct trimmed {
     struct scene scene;
     struct scene_plan plan; /* its meshes and channels follow the scene's order */
     uint32_t *texture_map, *material_map, *mesh_map, *image_map; /* old index -> new */
+    uint64_t split_bytes_min; /* of pictures in pieces; UINT64_MAX: none */
+    bool *may_be_late;        /* of its images */
+    struct pieced *pieced;    /* of the images that have a chunk */
+    size_t pieced_count;
 };
 
 void package_release(struct package *p)
@@ -43,6 +57,10 @@ static void trimmed_release(struct trimmed *t)
     mem_free(t->material_map);
     mem_free(t->mesh_map);
     mem_free(t->image_map);
+    mem_free(t->may_be_late);
+    for (size_t i = 0; i < t->pieced_count; i++)
+        mem_free(t->pieced[i].numbers);
+    mem_free(t->pieced);
     mem_free(t->scene.images);
     mem_free(t->scene.textures);
     mem_free(t->scene.materials);
@@ -253,6 +271,8 @@ static void leave_copy(struct package *p, uint64_t bytes)
 struct packed {
     struct buf bytes;
     digest name;
+    struct split split;   /* pieces of the image; none: it is whole */
+    uint64_t whole_bytes; /* of the image as one chunk */
     struct package_left left[PACKAGE_LEFT_COUNT];
     enum err error;
 };
@@ -273,6 +293,19 @@ static enum err put_mesh(const struct trimmed *t, size_t i, struct packed *out)
     return e;
 }
 
+/* One chunk, or a base and pieces. */
+static enum err put_pixels(const struct scene_image *image, unsigned stored,
+                           uint64_t split_bytes_min, struct packed *out)
+{
+    out->whole_bytes = package_image_chunk_bytes(image, stored);
+    if (!package_is_split(image, stored, split_bytes_min))
+        return package_image_put(image, stored, &out->bytes);
+    TL_TRY(package_split(image, stored, &out->split));
+    out->bytes = out->split.base;
+    buf_init(&out->split.base);
+    return ERR_OK;
+}
+
 static enum err put_image(const struct trimmed *t, size_t i, struct packed *out)
 {
     struct scene_image image = t->scene.images[i];
@@ -281,7 +314,8 @@ static enum err put_image(const struct trimmed *t, size_t i, struct packed *out)
     if (!t->plan.whole)
         TL_TRY(package_trim_image(&t->scene.images[i], t->plan.channels[i], out->left, &image,
                                   &stored, &own));
-    enum err e = package_image_put(&image, stored, &out->bytes);
+    enum err e =
+        put_pixels(&image, stored, t->may_be_late[i] ? t->split_bytes_min : UINT64_MAX, out);
     if (own)
         mem_free(image.pixels);
     return e;
@@ -304,7 +338,9 @@ static void pack_one(void *arg, size_t i)
     struct packed *out = &w->chunks[i];
     out->error = w->kind == PACKAGE_MESH ? put_mesh(w->from, w->first + i, out)
                                          : put_image(w->from, w->first + i, out);
-    if (out->error == ERR_OK)
+    if (out->error == ERR_OK && out->split.count > 0)
+        out->name = out->split.name;
+    else if (out->error == ERR_OK)
         out->name = digest_of(out->bytes.data, out->bytes.bytes);
 }
 
@@ -332,9 +368,36 @@ static void pack_some(struct packing *w, size_t count)
         pack_one(w, i);
 }
 
+/* The chunks of one kind that are made, and of images the pieces beside them. */
+struct shelf {
+    struct chunk_set set, pieces;
+};
+
+static enum err take_pieces(struct trimmed *t, struct packed *c, uint64_t base_bytes,
+                            struct shelf *to, struct package *p)
+{
+    struct pieced *out = &t->pieced[t->pieced_count++];
+    *out = (struct pieced){.count = c->split.count, .picture = c->split.picture};
+    if (c->split.count == 0)
+        return ERR_OK;
+    uint64_t bytes = base_bytes + CODEC_PIECED_BYTES + c->split.count * sizeof *out->numbers;
+    out->numbers = mem_alloc_array(c->split.count, sizeof *out->numbers);
+    if (!out->numbers)
+        return ERR_NOMEM;
+    for (size_t i = 0; i < c->split.count; i++) {
+        struct split_piece *piece = &c->split.pieces[i];
+        uint64_t piece_bytes = piece->bytes.bytes + CODEC_ENTRY_BYTES;
+        bool is_new = chunk_set_add(&to->pieces, &piece->bytes, &piece->name, PACKAGE_PIECE,
+                                    &out->numbers[i]);
+        bytes += is_new ? piece_bytes : 0;
+    }
+    p->pieces_extra += (int64_t)bytes - (int64_t)c->whole_bytes;
+    return ERR_OK;
+}
+
 /* In the scene's order, whoever was made first. */
-static enum err take_packed(struct trimmed *t, struct packing *w, size_t count,
-                            struct chunk_set *set, struct package *p)
+static enum err take_packed(struct trimmed *t, struct packing *w, size_t count, struct shelf *to,
+                            struct package *p)
 {
     struct scene *s = &t->scene;
     for (size_t k = 0; k < count; k++) {
@@ -342,39 +405,92 @@ static enum err take_packed(struct trimmed *t, struct packing *w, size_t count,
         size_t i = w->first + k;
         TL_TRY(c->error);
         add_left(p->left, c->left);
-        uint64_t bytes = c->bytes.bytes;
         bool mesh = w->kind == PACKAGE_MESH;
+        uint64_t chunk_bytes = c->bytes.bytes;
+        uint64_t bytes = mesh ? chunk_bytes : c->whole_bytes + CODEC_PIECES_BYTES;
+        enum package_kind kind = c->split.count > 0 ? PACKAGE_BASE : w->kind;
         uint32_t *place = mesh ? &t->mesh_map[i] : &t->image_map[i];
-        bool is_new = chunk_set_add(set, &c->bytes, &c->name, w->kind, place);
+        bool is_new = chunk_set_add(&to->set, &c->bytes, &c->name, kind, place);
         if (mesh && is_new)
-            s->meshes[set->count - 1] = s->meshes[i];
-        else if (!is_new)
+            s->meshes[to->set.count - 1] = s->meshes[i];
+        else if (is_new)
+            TL_TRY(take_pieces(t, c, chunk_bytes, to, p));
+        else
             leave_copy(p, bytes + (mesh ? CODEC_NAME_BYTES + strlen(s->meshes[i].name) : 0));
     }
     return ERR_OK;
 }
 
+/* Behind the others of the package. */
+static enum err add_pieces(struct chunk_set *pieces, struct package *p)
+{
+    if (pieces->count == 0)
+        return ERR_OK;
+    struct package_chunk *all =
+        mem_realloc_array(p->chunks, p->count + pieces->count, sizeof *p->chunks);
+    if (!all)
+        return ERR_NOMEM;
+    memcpy(all + p->count, pieces->chunks, pieces->count * sizeof *all);
+    p->chunks = all;
+    p->count += pieces->count;
+    pieces->count = 0;
+    return ERR_OK;
+}
+
+/* So many pieces at most. */
+static size_t pieces_max(const struct trimmed *t)
+{
+    size_t count = 0;
+    for (size_t i = 0; t->split_bytes_min < UINT64_MAX && i < t->scene.image_count; i++)
+        count += t->may_be_late[i] ? (size_t)pyramid_pieces_across(&t->scene.images[i]) *
+                                         pyramid_pieces_down(&t->scene.images[i])
+                                   : 0;
+    return count;
+}
+
+static bool shelf_init(struct shelf *to, const struct trimmed *t, enum package_kind kind,
+                       size_t count, struct package *p)
+{
+    size_t pieces = kind == PACKAGE_IMAGE ? pieces_max(t) : 0;
+    struct package_chunk *room = mem_calloc(pieces, sizeof *room);
+    bool set = chunk_set_init(&to->set, p->chunks + p->count, count);
+    return chunk_set_init(&to->pieces, room, pieces) && set && room;
+}
+
+static void shelf_release(struct shelf *to)
+{
+    for (size_t i = 0; i < to->pieces.count; i++)
+        mem_free(to->pieces.chunks[i].data);
+    mem_free(to->pieces.chunks);
+    mem_free(to->pieces.slots);
+    mem_free(to->set.slots);
+}
+
 /* Chunks with the same bytes become one: who refers to them then shares its index. */
 static enum err pack_all(struct trimmed *t, enum package_kind kind, size_t count, struct package *p)
 {
-    struct chunk_set set;
+    struct shelf to;
     struct packing *w = mem_calloc(1, sizeof *w);
-    bool made = chunk_set_init(&set, p->chunks + p->count, count);
+    bool made = shelf_init(&to, t, kind, count, p);
     enum err e = w && made ? ERR_OK : ERR_NOMEM;
     for (size_t first = 0; e == ERR_OK && first < count; first += PACKED_MAX) {
         size_t some = count - first < PACKED_MAX ? count - first : PACKED_MAX;
         *w = (struct packing){.from = t, .kind = kind, .first = first};
         pack_some(w, some);
-        e = take_packed(t, w, some, &set, p);
-        for (size_t k = 0; k < some; k++)
+        e = take_packed(t, w, some, &to, p);
+        for (size_t k = 0; k < some; k++) {
             buf_release(&w->chunks[k].bytes);
+            package_split_release(&w->chunks[k].split);
+        }
     }
     if (kind == PACKAGE_MESH)
-        t->scene.mesh_count = set.count;
+        t->scene.mesh_count = to.set.count;
     else
-        t->scene.image_count = set.count;
-    p->count += set.count;
-    mem_free(set.slots);
+        t->scene.image_count = to.set.count;
+    p->count += to.set.count;
+    if (e == ERR_OK)
+        e = add_pieces(&to.pieces, p);
+    shelf_release(&to);
     mem_free(w);
     return e;
 }
@@ -391,10 +507,29 @@ static enum err put_meshes(struct trimmed *t, struct package *p)
 static enum err put_images(struct trimmed *t, struct package *p)
 {
     struct scene *s = &t->scene;
+    t->may_be_late = mem_calloc(s->image_count, sizeof *t->may_be_late);
+    t->pieced = mem_calloc(s->image_count, sizeof *t->pieced);
+    if (!t->may_be_late || !t->pieced)
+        return ERR_NOMEM;
+    package_late_may(s, t->may_be_late);
     TL_TRY(pack_all(t, PACKAGE_IMAGE, s->image_count, p));
     for (size_t i = 0; i < s->texture_count; i++)
         renumber(&s->textures[i].image, t->image_map);
     return ERR_OK;
+}
+
+static void put_pieced(struct codec *c, struct pieced *image)
+{
+    bool pieces = image->count > 0;
+    codec_bool(c, &pieces);
+    if (!pieces)
+        return;
+    codec_u32(c, &image->picture.width);
+    codec_u32(c, &image->picture.height);
+    codec_u32(c, &image->picture.channel_count);
+    codec_enum(c, &image->picture.format, SCENE_IMAGE_U8_LINEAR);
+    for (size_t i = 0; i < image->count; i++)
+        codec_u32(c, &image->numbers[i]);
 }
 
 static enum err put_root(struct trimmed *t, struct package *p)
@@ -407,12 +542,15 @@ static enum err put_root(struct trimmed *t, struct package *p)
     codec_magic(&c, "TLYR");
     buf_put_u32(&b, (uint32_t)s->mesh_count);
     buf_put_u32(&b, (uint32_t)s->image_count);
+    buf_put_u32(&b, (uint32_t)(p->count - 1 - s->mesh_count - s->image_count));
     for (size_t i = 1; i < p->count; i++) {
         buf_put(&b, p->chunks[i].name.bytes, DIGEST_BYTES);
         buf_put_u64(&b, p->chunks[i].bytes);
     }
     for (size_t i = 0; i < s->mesh_count; i++)
         codec_name(&c, &s->meshes[i].name);
+    for (size_t i = 0; i < s->image_count; i++)
+        put_pieced(&c, &t->pieced[i]);
     codec_scene(&c, s);
     enum err e = codec_end(&c);
     if (e == ERR_OK) {
@@ -437,9 +575,9 @@ static enum err put_all(struct trimmed *t, struct package *p)
 
 /* Takes the plan. */
 static enum err write_planned(const struct scene *scene, const struct scene_plan *plan,
-                              struct package *out)
+                              uint64_t split_bytes_min, struct package *out)
 {
-    struct trimmed t = {.plan = *plan};
+    struct trimmed t = {.plan = *plan, .split_bytes_min = split_bytes_min};
     struct package p = {0};
     enum err e = ERR_NOMEM;
     if (trimmed_alloc(&t, scene)) {
@@ -454,16 +592,22 @@ static enum err write_planned(const struct scene *scene, const struct scene_plan
     return e;
 }
 
-enum err package_write(const struct scene *scene, uint32_t aov, struct package *out)
+enum err package_write_pieces(const struct scene *scene, uint32_t aov, uint64_t split_bytes_min,
+                              struct package *out)
 {
     struct scene_plan plan;
     TL_TRY(scene_plan_make(scene, aov, &plan));
-    return write_planned(scene, &plan, out);
+    return write_planned(scene, &plan, split_bytes_min, out);
+}
+
+enum err package_write(const struct scene *scene, uint32_t aov, struct package *out)
+{
+    return package_write_pieces(scene, aov, PACKAGE_SPLIT_BYTES_MIN, out);
 }
 
 enum err package_write_whole(const struct scene *scene, struct package *out)
 {
     struct scene_plan plan;
     TL_TRY(scene_plan_keep_all(scene, &plan));
-    return write_planned(scene, &plan, out);
+    return write_planned(scene, &plan, UINT64_MAX, out);
 }

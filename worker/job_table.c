@@ -32,8 +32,8 @@ static void log_trees(const struct worker_job *job)
             job->id, stats.lazy_built, stats.lazy_count, render_scene_bytes(job->loaded.scene));
     size_t late = render_scene_late_count(job->loaded.scene);
     if (late > 0)
-        log_info("job", "pictures that nothing met job=%" PRIu64 " count=%zu of=%zu", job->id, late,
-                 render_scene_image_count(job->loaded.scene));
+        log_info("job", "pictures and pieces that nothing met job=%" PRIu64 " count=%zu of=%zu",
+                 job->id, late, render_scene_late_end(job->loaded.scene));
 }
 
 /* What the scenes take now: trees may have been built since they were ready. A scene that jobs
@@ -275,19 +275,19 @@ static void on_brought(void *ctx, void *owner, enum err error, const char *text,
     t->handlers.ready(t->ctx, job);
 }
 
-enum err job_table_bring(struct job_table *t, struct worker_job *job, const uint32_t *images,
+enum err job_table_bring(struct job_table *t, struct worker_job *job, const uint32_t *numbers,
                          size_t count)
 {
     TL_ASSERT(job->state == WORKER_JOB_READY);
     for (size_t i = 0; i < count; i++)
-        TL_TRY(scene_fetcher_bring(t->loader, job, job->loaded.scene, images[i]));
+        TL_TRY(scene_fetcher_bring(t->loader, job, job->loaded.scene, numbers[i]));
     return ERR_OK;
 }
 
 enum err job_table_bring_all(struct job_table *t, struct worker_job *job)
 {
     TL_ASSERT(job->state == WORKER_JOB_READY);
-    for (uint32_t i = 0; i < render_scene_image_count(job->loaded.scene); i++)
+    for (uint32_t i = 0; i < render_scene_late_end(job->loaded.scene); i++)
         TL_TRY(scene_fetcher_bring(t->loader, job, job->loaded.scene, i));
     return ERR_OK;
 }

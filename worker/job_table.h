@@ -83,9 +83,10 @@ void job_table_end(struct job_table *t, struct worker_job *job);
 void job_table_hold(struct job_table *t, struct worker_job *job);
 void job_table_release(struct job_table *t, struct worker_job *job);
 
-/* Asks for late pictures of a READY job; `ready` is called for each that comes. ERR_NOMEM. */
+/* Asks for late pictures, or parts of such, of a READY job, by their numbers (scene_late.h);
+ * `ready` is called for each that comes. ERR_NOMEM. */
 TL_NODISCARD enum err job_table_bring(struct job_table *t, struct worker_job *job,
-                                      const uint32_t *images, size_t count);
+                                      const uint32_t *numbers, size_t count);
 
 /* The same for all that are not there yet. */
 TL_NODISCARD enum err job_table_bring_all(struct job_table *t, struct worker_job *job);

@@ -134,8 +134,11 @@ static enum err choose_late(struct load *load, const struct scene *tables)
                  load->job, count, tables->image_count);
     for (size_t i = 0; i < tables->image_count; i++) {
         const struct package_index_entry *e = &load->index.entries[tables->mesh_count + i];
-        load->chunks[i] = (struct late_chunk){
-            .late = load->late[tables->mesh_count + i], .name = e->name, .bytes = e->bytes};
+        load->chunks[i] = (struct late_chunk){.late = load->late[tables->mesh_count + i],
+                                              .name = e->name,
+                                              .bytes = e->bytes,
+                                              .pieces = load->index.pieces[i],
+                                              .entries = load->index.entries};
     }
     return ERR_OK;
 }

@@ -9,9 +9,10 @@
  *      ^           |             |
  *      +-----------+-------------+   root came, or a chunk was lost
  *
- * Late pictures (package_late.h) are left out of a load. scene_fetcher_bring gets those that units
- * have met: each is asked for once, however many units wait for it, before what a load asks for;
- * read from the cache if it is there, made ready on threads that are free, and put into the scene.
+ * Late pictures (package_late.h) are left out of a load. scene_fetcher_bring gets those, and of
+ * pictures in pieces those pieces, that units have met: each is asked for once, however many units
+ * wait for it, before what a load asks for; read from the cache if it is there, made ready on
+ * threads that are free, and put into the scene.
  *
  * A load survives the loss of the connection and goes on with the next one.
  * Thread: the loop's; its tasks run on the pool's service thread.
@@ -63,12 +64,13 @@ TL_NODISCARD enum err scene_fetcher_start(struct scene_fetcher *l, uint64_t job,
                                           bool eager);
 void scene_fetcher_cancel(struct scene_fetcher *l, uint64_t job);
 
-/* Brings an image into a scene, unless it is there or on its way. `job` is whose `scene` it is:
- * both are borrowed until `brought` or scene_fetcher_forget. ERR_NOMEM. */
+/* Brings a picture, or part of one, into a scene, unless it is there or on its way; its number as
+ * in scene_late.h. `job` is whose `scene` it is: both are borrowed until `brought` or
+ * scene_fetcher_forget. ERR_NOMEM. */
 TL_NODISCARD enum err scene_fetcher_bring(struct scene_fetcher *l, void *job,
-                                          struct render_scene *scene, uint32_t image);
+                                          struct render_scene *scene, uint32_t number);
 
-/* Pictures on their way for this job. */
+/* Pictures and parts of such on their way for this job. */
 size_t scene_fetcher_bringing(const struct scene_fetcher *l, const void *job);
 
 /* The job wants none of its pictures any more. Other jobs on its scene ask again for theirs. */

@@ -54,17 +54,8 @@ static enum err get_chunk(struct bring *b, struct buf *plain)
 /* What the chunk holds, judged as package_read judges it. */
 static enum err make_picture(struct bring *b, const struct buf *plain)
 {
-    struct package_part part;
-    b->what = "it is no picture";
-    if (plain->bytes != b->need.bytes)
-        return ERR_CORRUPT;
-    TL_TRY(package_part_get(PACKAGE_IMAGE, plain->data, plain->bytes, &part));
-    enum err e = ERR_CORRUPT;
-    if (scene_image_valid(&part.image)) {
-        b->what = "no memory for the picture";
-        e = picture_make(&b->need, &part.image, &b->picture);
-    }
-    package_part_release(&part);
+    enum err e = picture_read(&b->need, plain->data, plain->bytes, &b->picture);
+    b->what = e == ERR_NOMEM ? "no memory for the picture" : "it is no picture, or another one";
     return e;
 }
 
@@ -93,7 +84,7 @@ static void done_bring(struct pool_task *task)
         return;
     }
     if (b->error == ERR_OK && b->job) {
-        render_scene_put(b->scene, b->need.image, b->picture);
+        render_scene_put(b->scene, b->need.number, b->picture);
         b->picture = NULL;
     }
     end(b, b->error, b->what, received_bytes);
@@ -170,15 +161,15 @@ void bring_unasked(struct bring *b)
 /* --- Requests ----------------------------------------------------------------------- */
 
 enum err scene_fetcher_bring(struct scene_fetcher *l, void *job, struct render_scene *scene,
-                             uint32_t image)
+                             uint32_t number)
 {
     struct picture_need need;
-    if (!render_scene_need(scene, image, &need))
+    if (!render_scene_need(scene, number, &need))
         return ERR_OK;
     struct bring *b;
     TAILQ_FOREACH(b, &l->brings, in_brings)
     {
-        if (b->job && b->need.image == image && render_scene_is_one(b->scene, scene))
+        if (b->job && b->need.number == number && render_scene_is_one(b->scene, scene))
             return ERR_OK;
     }
     /* Asked for by a job that is gone: the answer is as good for this one. */

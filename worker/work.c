@@ -34,7 +34,7 @@ struct lease {
     uint64_t render_us;
     uint32_t raw_bytes;
     struct blob *body;
-    uint32_t lacks[RENDER_LACKS_MAX]; /* pictures that it needs to run again */
+    uint32_t lacks[RENDER_LACKS_MAX]; /* what it needs to run again: numbers of scene_late.h */
     size_t lack_count;
     uint32_t runs_in_vain;
     TAILQ_ENTRY(lease) in_leases;
@@ -150,10 +150,10 @@ static uint64_t now_us(void)
 
 static void note_lacks(struct lease *lease, const struct render_scratch *scratch)
 {
-    const uint32_t *images;
-    lease->lack_count = render_lacks(scratch, &images);
+    const uint32_t *numbers;
+    lease->lack_count = render_lacks(scratch, &numbers);
     for (size_t i = 0; i < lease->lack_count; i++)
-        lease->lacks[i] = images[i];
+        lease->lacks[i] = numbers[i];
 }
 
 static enum err render_and_encode(struct lease *lease, struct render_scratch *scratch, float *rgb,

@@ -39,6 +39,12 @@ static void fuzz_plain(const uint8_t *data, size_t bytes)
     }
     if (package_image_get(data, bytes, &image) == ERR_OK)
         mem_free(image.pixels);
+    struct package_base base;
+    if (package_base_get(data, bytes, &base) == ERR_OK) {
+        const struct scene_image *last = &base.levels[base.level_count - 1];
+        TL_ASSERT(last->width == 1 && last->height == 1);
+        package_base_release(&base);
+    }
     /* A chunk that we pack comes back as it was. */
     struct buf frame, out;
     buf_init(&frame);

@@ -43,6 +43,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t bytes)
         TL_ASSERT(scene_valid(&scene));
         TL_ASSERT(package_write(&scene, 0, &package) == ERR_OK);
         package_release(&package);
+        TL_ASSERT(package_write_pieces(&scene, 0, 1, &package) == ERR_OK);
+        package_release(&package);
         scene_release(&scene);
     }
     digest name = digest_of(data, root);

@@ -116,6 +116,33 @@ static void enrich(struct scene *s)
     scene_check(s);
 }
 
+static void put_both(const struct package_chunk *chunk, size_t number)
+{
+    static const char *const kinds[] = {"root", "mesh", "image", "base", "piece"};
+    char name[32];
+    (void)snprintf(name, sizeof name, "%s_%zu", kinds[chunk->kind], number);
+    put_chunk(chunk, name, false);
+    (void)snprintf(name, sizeof name, "%s_%zu.zst", kinds[chunk->kind], number);
+    put_chunk(chunk, name, true);
+}
+
+/* A picture of two pieces, which may come late. */
+static void cut(struct scene *s)
+{
+    struct scene_image *image = &s->images[0];
+    mem_free(image->pixels);
+    *image = (struct scene_image){520, 8, 1, SCENE_IMAGE_U8_LINEAR, mem_calloc(520, 8)};
+    TL_ASSERT(image->pixels);
+    for (size_t i = 0; i < (size_t)520 * 8; i++)
+        ((unsigned char *)image->pixels)[i] = (unsigned char)(i % 64);
+    for (size_t i = 0; i < s->material_count; i++) {
+        s->materials[i].emission_texture = SCENE_NONE;
+        s->materials[i].alpha_used = false;
+    }
+    s->envmap.texture = SCENE_NONE;
+    scene_check(s);
+}
+
 int main(int argc, char **argv)
 {
     if (argc < 2 || argc > 3 || (argc == 3 && strcmp(argv[2], "--write") != 0)) {
@@ -132,15 +159,16 @@ int main(int argc, char **argv)
     TL_ASSERT(package_write_whole(&s, &whole) == ERR_OK);
     put_package(&trimmed, "trimmed");
     put_package(&whole, "whole");
-    for (size_t i = 0; i < whole.count; i++) {
-        static const char *const kinds[] = {"root", "mesh", "image"};
-        const struct package_chunk *chunk = &whole.chunks[i];
-        char name[32];
-        (void)snprintf(name, sizeof name, "%s_%zu", kinds[chunk->kind], i);
-        put_chunk(chunk, name, false);
-        (void)snprintf(name, sizeof name, "%s_%zu.zst", kinds[chunk->kind], i);
-        put_chunk(chunk, name, true);
-    }
+    for (size_t i = 0; i < whole.count; i++)
+        put_both(&whole.chunks[i], i);
+    struct package pieces;
+    cut(&s);
+    TL_ASSERT(package_write_pieces(&s, 0, 1, &pieces) == ERR_OK && pieces.pieces_extra > 0);
+    put_package(&pieces, "pieces");
+    for (size_t i = 0; i < pieces.count; i++)
+        if (pieces.chunks[i].kind != PACKAGE_MESH)
+            put_both(&pieces.chunks[i], whole.count + i);
+    package_release(&pieces);
     package_release(&whole);
     package_release(&trimmed);
     scene_release(&s);

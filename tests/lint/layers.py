@@ -23,7 +23,7 @@ ROOMS = {
 # What of common the pure rooms may know: nothing that logs or does I/O.
 PURE_COMMON = {
     "worker/render": {"err.h", "mem.h", "grid.h", "job_spec.h", "scene.h", "scene_lazy.h", "dmath.h", "vec.h",
-                      "digest.h", "diag.h", "determinism.h"},
+                      "digest.h", "diag.h", "determinism.h", "pyramid.h", "texel.h"},
     "master/sched": {"err.h", "mem.h", "grid.h", "job_spec.h", "diag.h"},
 }
 

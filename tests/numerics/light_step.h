@@ -23,7 +23,7 @@ static inline bool light_step(const struct render_scene *rs, vec3 *org, vec3 *di
     if (hit.object == SCENE_NONE)
         return false;
     *object = hit.object;
-    shade_of_hit(rs, &hit, *dir, NULL, &at);
+    shade_of_hit(rs, &hit, *dir, NULL, NULL, &at);
     if (!bsdf_sample(&at.bsdf, at.wo, u, &sample))
         return false;
     *dir = v3_unit(frame_to_world(&at.frame, sample.wi));

@@ -59,10 +59,16 @@ static void make_mesh(struct scene_mesh *m)
         m->indices[i] = plain ? 0 : draw(m->vertex_count);
 }
 
+/* Small, or such that a picture can be in pieces, now and then in two a row. */
+static uint32_t draw_side(void)
+{
+    return draw(2) ? 1 + draw(9) : 8 * (1 + draw(draw(8) ? 3 : 70));
+}
+
 static void make_image(struct scene_image *image)
 {
     static const uint32_t channels[] = {1, 3, 4};
-    *image = (struct scene_image){.width = 1 + draw(9), .height = 1 + draw(9)};
+    *image = (struct scene_image){.width = draw_side(), .height = draw_side()};
     image->channel_count = channels[draw(3)];
     image->format = (enum scene_image_format)draw(3);
     size_t samples = (size_t)image->width * image->height * image->channel_count;
@@ -180,7 +186,8 @@ static void run_round(void)
     struct scene s, back;
     struct package p, again;
     make_scene(&s);
-    TL_ASSERT(package_write(&s, 0, &p) == ERR_OK);
+    uint64_t split_bytes_min = draw(2) ? 0 : UINT64_MAX;
+    TL_ASSERT(package_write_pieces(&s, 0, split_bytes_min, &p) == ERR_OK);
     struct supply supply = {.package = &p, .swapped = SIZE_MAX};
     TL_ASSERT(package_read(p.chunks[0].data, p.chunks[0].bytes, fetch, &supply, &back) == ERR_OK);
     TL_ASSERT(back.object_count == s.object_count && back.mesh_count <= s.mesh_count);
@@ -192,7 +199,8 @@ static void run_round(void)
         TL_ASSERT(a->type == SCENE_OBJECT_SPHERE ||
                   s.meshes[a->mesh].triangle_count == back.meshes[b->mesh].triangle_count);
     }
-    TL_ASSERT(package_write(&back, 0, &again) == ERR_OK && again.count == p.count);
+    TL_ASSERT(package_write_pieces(&back, 0, split_bytes_min, &again) == ERR_OK &&
+              again.count == p.count);
     for (size_t i = 0; i < p.count; i++)
         TL_ASSERT(digest_equal(&p.chunks[i].name, &again.chunks[i].name));
     check_swap(&p, &supply);

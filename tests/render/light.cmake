@@ -51,5 +51,7 @@ numerics_rows(test_sampler ALSO unit ROWS test_t22_indices) # which runs under t
 numerics_rows(test_sampler ALSO render ROWS test_t23_pairs test_t23_dropped_dimension_fails)
 numerics_rows(test_identity ALSO render ROWS test_t01_scale test_t21_units test_t21_crops)
 numerics_rows(test_surface ALSO render ROWS test_t09_triangles test_t09_spheres)
+tilery_test(test_scene_pieces LABEL render LINKS tl_worker m
+  SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_pieces.c ${render_kit})
 tilery_test(test_scene_late LABEL render LINKS tl_worker m
   SOURCES ${PROJECT_SOURCE_DIR}/tests/render/test_scene_late.c ${render_kit})

@@ -43,7 +43,7 @@ static bool follow(const struct render_scene *rs, double x, double y, struct foo
             footprint_arrive(f, org, &ray, &out->hit);
         struct shade at;
         struct bsdf_sample sample;
-        shade_of_hit(rs, &out->hit, dir, NULL, &at);
+        shade_of_hit(rs, &out->hit, dir, NULL, NULL, &at);
         out->surface = at.surface;
         if (!at.bsdf.material->is_delta)
             return true;

@@ -111,6 +111,23 @@ static void check_memory(const char *name, const struct scene *s, const struct s
     scene_plan_release(&plan);
 }
 
+/* The same with all pictures in pieces that can be. */
+static void check_pieces(const char *name, const struct scene *s)
+{
+    struct package whole, sent;
+    TL_ASSERT(package_write_pieces(s, 0, UINT64_MAX, &whole) == ERR_OK &&
+              package_write_pieces(s, 0, 1, &sent) == ERR_OK);
+    struct scene back = round_trip(name, &sent);
+    compare_pictures(name, s, &back, "other bits from pictures in pieces");
+    if (whole.pieces_extra != 0 ||
+        plain_bytes(&whole) + left_bytes(&whole) + (uint64_t)sent.pieces_extra !=
+            plain_bytes(&sent) + left_bytes(&sent))
+        fail(name, "pieces do not add up");
+    scene_release(&back);
+    package_release(&whole);
+    package_release(&sent);
+}
+
 static struct package check_scene(const char *name, const struct scene *s)
 {
     struct package whole, sent;
@@ -118,9 +135,12 @@ static struct package check_scene(const char *name, const struct scene *s)
     struct scene all = round_trip(name, &whole), back = round_trip(name, &sent);
     compare_pictures(name, s, &all, "other bits from the package of everything");
     compare_pictures(name, s, &back, "other bits from the package that is sent");
-    if (plain_bytes(&whole) + left_bytes(&whole) != plain_bytes(&sent) + left_bytes(&sent))
+    if (plain_bytes(&whole) + left_bytes(&whole) + (uint64_t)sent.pieces_extra !=
+        plain_bytes(&sent) + left_bytes(&sent))
         fail(name, "what is left out does not add up");
     check_memory(name, s, &back);
+    if (s->image_count > 0)
+        check_pieces(name, s);
     scenes_seen++;
     scene_release(&all);
     scene_release(&back);
@@ -148,7 +168,7 @@ static void check_file(const char *path)
 
 /* --- A scene of all rules -------------------------------------------------- */
 
-enum { IMAGE_SIDE = 4 };
+enum { IMAGE_SIDE = 8 };
 
 static uint32_t add_image(struct scene *s, uint32_t channels, bool grey, unsigned char alpha)
 {

@@ -106,7 +106,7 @@ static struct render_scene *build_without(struct scene *s, const struct job_spec
     assert_int_equal(scene_build_as(s, spec, &how, &rs), ERR_OK);
     memcpy(s->images, images, sizeof images);
     assert_int_equal(render_scene_late_count(rs), SHOWN + HIDDEN);
-    assert_int_equal(render_scene_image_count(rs), SHOWN + HIDDEN);
+    assert_int_equal(render_scene_late_end(rs), SHOWN + HIDDEN);
     return rs;
 }
 
@@ -116,7 +116,7 @@ static void bring(struct render_scene *rs, const struct scene *s, uint32_t image
     struct picture *picture;
     size_t before = render_scene_late_count(rs), bytes = render_scene_bytes(rs);
     assert_true(render_scene_need(rs, image, &need));
-    assert_int_equal(need.image, image);
+    assert_int_equal(need.number, image);
     assert_int_equal(need.bytes, image);
     digest name = digest_of(&image, sizeof image);
     assert_true(digest_equal(&need.name, &name));
@@ -126,7 +126,7 @@ static void bring(struct render_scene *rs, const struct scene *s, uint32_t image
     assert_int_equal(render_scene_late_count(rs), before - 1);
     assert_true(render_scene_bytes(rs) > bytes + TEXELS * TEXELS * 3);
     /* Once more is as good as once. */
-    need.image = image;
+    need.number = image;
     assert_int_equal(picture_make(&need, &s->images[image], &picture), ERR_OK);
     render_scene_put(rs, image, picture);
     assert_int_equal(render_scene_late_count(rs), before - 1);
@@ -389,7 +389,7 @@ static void no_memory_no_picture(void **state)
     (void)state;
     struct scene s;
     make_scene(&s);
-    struct picture_need need = {.pyramid = true};
+    struct picture_need need = {.kind = PACKAGE_IMAGE, .pyramid = true};
     struct picture *picture = NULL;
     uint64_t failed = 0;
     for (uint64_t i = 0; i < 1000; i++) {

@@ -156,7 +156,7 @@ static void vertex_colors_are_interpolated(void **state)
             double b2 = (1 - b1) / 4;
             struct hit hit = {.object = quad, .b1 = b1, .b2 = b2, .ng = {0, 0, 1}};
             struct shade at;
-            shade_of_hit(built, &hit, v3(0, 0, -1), NULL, &at);
+            shade_of_hit(built, &hit, v3(0, 0, -1), NULL, NULL, &at);
             const uint32_t *k = mesh->indices;
             double c[3];
             for (int j = 0; j < 3; j++)
@@ -169,7 +169,7 @@ static void vertex_colors_are_interpolated(void **state)
             assert_true(fabs(at.bsdf.color.g - 0.5 * c[1]) < 1e-15);
             assert_true(fabs(at.bsdf.color.b - 0.75 * c[2]) < 1e-15);
             hit.object = ball; /* has none: white */
-            shade_of_hit(built, &hit, v3(0, 0, -1), NULL, &at);
+            shade_of_hit(built, &hit, v3(0, 0, -1), NULL, NULL, &at);
             assert_true(at.bsdf.color.r == 0.5 && at.bsdf.color.b == 0.75);
         }
         render_scene_free(built);
@@ -323,7 +323,7 @@ static void bumps_are_normals_of_heights(void **state)
             assert_int_equal(hit.object, quad);
             struct footprint fine = {.org = {{0.001, 0, 0}, {0, 0.001, 0}}};
             struct shade at;
-            shade_of_hit(built, &hit, v3(0, 0, -1), kind ? NULL : &fine, &at);
+            shade_of_hit(built, &hit, v3(0, 0, -1), kind ? NULL : &fine, NULL, &at);
             (void)height_at(x, y, slope);
             vec3 truth = v3_unit(v3(-scale * slope[0], -scale * slope[1], 1));
             double apart = v3_length(v3_sub(truth, at.surface.ns));
@@ -365,7 +365,7 @@ static void green_leans_to_where_t_grows(void **state)
         accel_closest(built->accel, &ray, &hit);
         if (hit.object == SCENE_NONE)
             continue;
-        shade_of_hit(built, &hit, v3(0, -1, 0), NULL, &at);
+        shade_of_hit(built, &hit, v3(0, -1, 0), NULL, NULL, &at);
         if (at.bent)
             continue;
         vec3 n = at.surface.ng, down = v3_unit(v3(n.x * n.z, n.y * n.z, n.z * n.z - 1));

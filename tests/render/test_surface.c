@@ -9,7 +9,7 @@
 #include "common/mem.h"
 #include "tests/render/render_kit.h"
 #include "worker/render/sampler.h"
-#include "worker/render/srgb_table.h"
+#include "common/srgb_table.h"
 #include "worker/render/surface.h"
 #include "worker/render/warp.h"
 #include "worker/scene/scene_build.h"

@@ -137,7 +137,7 @@ static void minified_squares_are_their_mean(void **state)
         double unit = size / sqrt(x * x + y * y), longer = 1 + 9 * random_value(&random);
         struct texture_footprint f = {{x * unit * longer, -y * unit},
                                       {y * unit * longer, x * unit}};
-        rgb c = texture_filtered(t, u, v, &f);
+        rgb c = texture_filtered(t, u, v, &f, NULL);
         assert_true(fabs(c.r - 0.5) < 0.004 && c.r == c.g && c.g == c.b);
     }
     render_scene_free(rs);
@@ -162,11 +162,11 @@ static void fine_footprints_are_bilinear(void **state)
         struct texture_footprint fine = {{0.03 * random_value(&random), 0.02},
                                          {0.01, -0.03 * random_value(&random)}};
         struct texture_footprint wide = {{3, 0}, {0, 3}};
-        rgb a = texture_filtered(&t, u, v, &fine), b = texture_color(&t, u, v);
-        rgb c = texture_filtered(&bilinear, u, v, &wide);
+        rgb a = texture_filtered(&t, u, v, &fine, NULL), b = texture_color(&t, u, v);
+        rgb c = texture_filtered(&bilinear, u, v, &wide, NULL);
         assert_memory_equal(&a, &b, sizeof a);
         assert_memory_equal(&c, &b, sizeof a);
-        assert_true(texture_filtered(&t, u, v, NULL).g == b.g);
+        assert_true(texture_filtered(&t, u, v, NULL, NULL).g == b.g);
     }
     /* Nearest: a texel as it is, with the factor. */
     struct texture nearest = t;
@@ -193,7 +193,7 @@ static void widening_is_continuous(void **state)
     for (int i = 0; i <= 20000; i++) {
         double width = (0.5 + i * 0.005) / 64;
         struct texture_footprint f = {{width, 0}, {0, width}};
-        double now = texture_filtered(&rs->textures[0], 0.3, 0.7, &f).r;
+        double now = texture_filtered(&rs->textures[0], 0.3, 0.7, &f, NULL).r;
         assert_true(i == 0 || fabs(now - before) < 0.01);
         before = now;
     }
@@ -220,15 +220,15 @@ static void any_number_is_fine(void **state)
         struct texture_footprint f = {
             {wild[i % COUNT], wild[i / COUNT % COUNT]},
             {wild[i / COUNT / COUNT % COUNT], -wild[i / COUNT / COUNT / COUNT]}};
-        rgb a = texture_filtered(&image, 0.3, 0.4, &f),
-            b = texture_filtered(&checker, 0.3, 0.4, &f);
+        rgb a = texture_filtered(&image, 0.3, 0.4, &f, NULL),
+            b = texture_filtered(&checker, 0.3, 0.4, &f, NULL);
         assert_true(a.r >= 0 && a.r <= 1 && a.g >= 0 && a.g <= 1);
         assert_true(b.r >= 0 && b.r <= 1);
     }
     struct texture_footprint endless = {{INFINITY, 0}, {NAN, 1}};
-    rgb mean = texture_filtered(&image, 0.1, 0.9, &endless);
+    rgb mean = texture_filtered(&image, 0.1, 0.9, &endless, NULL);
     assert_true(fabs(mean.g - level_mean(image.image, 0, 1)) < 1e-5);
-    assert_true(texture_filtered(&checker, 0.1, 0.9, &endless).r == 0.5);
+    assert_true(texture_filtered(&checker, 0.1, 0.9, &endless, NULL).r == 0.5);
     render_scene_free(rs);
     scene_release(&s);
 }
@@ -252,11 +252,11 @@ static void checkerboards_are_averaged(void **state)
             sum += texture_color(&t, u + ((k % N + 0.5) / N - 0.5) * w,
                                  v + ((k / N + 0.5) / N - 0.5) * h)
                        .r;
-        rgb c = texture_filtered(&t, u, v, &f);
+        rgb c = texture_filtered(&t, u, v, &f, NULL);
         assert_true(fabs(c.r - sum / (N * N)) < 0.01);
         assert_true(fabs(c.r + c.g - 1) < 1e-12);
         struct texture_footprint none = {{1e-12, 0}, {0, 1e-12}};
-        assert_true(texture_filtered(&t, u, v, &none).r == texture_color(&t, u, v).r);
+        assert_true(texture_filtered(&t, u, v, &none, NULL).r == texture_color(&t, u, v).r);
     }
 }
 
@@ -275,7 +275,7 @@ static void clear_texels_do_not_bleed(void **state)
         s.materials[0].alpha_used = used;
         struct render_scene *rs = build(&s);
         struct texture_footprint all = {{1, 0}, {0, 1}};
-        rgb c = texture_filtered(&rs->textures[0], 0.5, 0.5, &all);
+        rgb c = texture_filtered(&rs->textures[0], 0.5, 0.5, &all, NULL);
         assert_true(used ? c.r == 1 && c.b == 0 : fabs(c.r - 0.5) < 0.003 && c.b == c.r);
         /* Opacity is that of the point. */
         assert_true(texture_alpha(&rs->textures[0], 0.5 / SIDE, 0.5) == 1);

@@ -306,9 +306,191 @@ static void singular_transforms_are_known_at_any_scale(void **state)
     assert_false(scene_transform_valid(m));
 }
 
+/* --- Pictures in pieces --------------------------------------------------- */
+
+enum { BIG = 1024, SMALL = BIG >> PYRAMID_PIECE_LEVELS };
+
+/* A scene of one picture of four pieces, no two of them alike. */
+static unsigned char *big_picture(struct scene *s)
+{
+    made_scene(s);
+    struct scene_image *image = &s->images[0];
+    mem_free(image->pixels);
+    *image = (struct scene_image){BIG, BIG, 1, SCENE_IMAGE_U8_LINEAR, mem_calloc(BIG, BIG)};
+    unsigned char *pixels = image->pixels;
+    assert_non_null(pixels);
+    for (size_t i = 0; i < (size_t)BIG * BIG; i++)
+        pixels[i] = (unsigned char)(i % BIG / 8 + i / BIG / 4);
+    return pixels;
+}
+
+static size_t count_kind(const struct package *p, enum package_kind kind)
+{
+    size_t count = 0;
+    for (size_t i = 0; i < p->count; i++)
+        count += p->chunks[i].kind == kind;
+    return count;
+}
+
+static void a_large_picture_comes_back_from_pieces(void **state)
+{
+    (void)state;
+    struct scene s, back;
+    struct package p;
+    unsigned char *pixels = big_picture(&s);
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
+    assert_int_equal(count_kind(&p, PACKAGE_BASE), 1);
+    assert_int_equal(count_kind(&p, PACKAGE_PIECE), 4);
+    assert_int_equal(package_read(p.chunks[0].data, p.chunks[0].bytes, fetch, &p, &back), ERR_OK);
+    assert_memory_equal(back.images[0].pixels, pixels, (size_t)BIG * BIG);
+    scene_release(&back);
+    package_release(&p);
+
+    /* Equal pieces are one chunk, and come back wherever they belong. */
+    memset(pixels, 9, (size_t)BIG * BIG);
+    pixels[BIG * BIG - 1] = 7;
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
+    assert_int_equal(count_kind(&p, PACKAGE_PIECE), 2);
+    assert_int_equal(package_read(p.chunks[0].data, p.chunks[0].bytes, fetch, &p, &back), ERR_OK);
+    assert_memory_equal(back.images[0].pixels, pixels, (size_t)BIG * BIG);
+    scene_release(&back);
+    package_release(&p);
+
+    /* A byte less than 1 MiB, sides that do not divide, a use that building reads. */
+    s.images[0].height = BIG - 8;
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
+    assert_int_equal(count_kind(&p, PACKAGE_BASE), 0);
+    package_release(&p);
+    s.images[0].height = BIG;
+    s.envmap.texture = 1;
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
+    assert_int_equal(count_kind(&p, PACKAGE_BASE), 0);
+    package_release(&p);
+    scene_release(&s);
+}
+
+/* Two texels of a piece exchanged, which no level of the base can tell. */
+static void a_retouched_picture_sends_a_piece_and_a_base(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct package before, after;
+    unsigned char *pixels = big_picture(&s);
+    pixels[0] = 200;
+    assert_int_equal(package_write(&s, 0, &before), ERR_OK);
+    pixels[0] = pixels[1];
+    pixels[1] = 200;
+    assert_int_equal(package_write(&s, 0, &after), ERR_OK);
+    assert_int_equal(new_chunks(&before, &after), 3); /* with the root */
+    package_release(&after);
+    package_release(&before);
+    scene_release(&s);
+}
+
+/* The numbers of the pieces stand where a root first differs from one with other numbers. */
+static void bad_pieces_are_refused(void **state)
+{
+    (void)state;
+    struct scene s, back;
+    struct package p;
+    struct package_index index;
+    (void)big_picture(&s);
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
+    struct package_chunk *root = &p.chunks[0];
+    static const unsigned char sizes[] = {0, 4, 0, 0, 0, 4, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0};
+    unsigned char *at = memmem(root->data, root->bytes, sizes, sizeof sizes);
+    assert_non_null(at);
+    static const struct {
+        size_t at;
+        unsigned char value;
+    } bad[] = {{0, 1}, {1, 0},  {4, 4},  {6, 1},    {8, 0}, {8, 2},
+               {8, 5}, {12, 3}, {16, 4}, {28, 255}, {31, 1}};
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        unsigned char good = at[bad[i].at];
+        at[bad[i].at] = bad[i].value;
+        assert_int_equal(package_root_read(root->data, root->bytes, &index), ERR_CORRUPT);
+        at[bad[i].at] = good;
+    }
+    /* More pieces, and fewer, than there are numbers. */
+    static const unsigned char heights[] = {2, 8};
+    for (int i = 0; i < 2; i++) {
+        at[5] = heights[i];
+        assert_int_not_equal(package_root_read(root->data, root->bytes, &index), ERR_OK);
+    }
+    at[5] = 4;
+    for (size_t i = 1; i < p.count; i++) {
+        if (p.chunks[i].kind != PACKAGE_PIECE)
+            continue;
+        p.chunks[i].data[12] ^= 1; /* height */
+        assert_int_equal(package_read(root->data, root->bytes, fetch, &p, &back), ERR_CORRUPT);
+        p.chunks[i].data[12] ^= 1;
+    }
+    package_release(&p);
+    scene_release(&s);
+}
+
+/* Levels of a base: each cut and each damaged field. */
+static void bad_bases_are_refused(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct package p;
+    struct package_base base;
+    (void)big_picture(&s);
+    assert_int_equal(package_write(&s, 0, &p), ERR_OK);
+    for (size_t i = 1; i < p.count; i++) {
+        struct package_chunk *c = &p.chunks[i];
+        if (c->kind != PACKAGE_BASE) {
+            assert_int_equal(package_base_get(c->data, c->bytes, &base), ERR_CORRUPT);
+            continue;
+        }
+        assert_int_equal(package_base_get(c->data, c->bytes, &base), ERR_OK);
+        assert_int_equal(base.level_count, 8);
+        assert_int_equal(base.levels[0].width, SMALL);
+        assert_int_equal(base.levels[7].height, 1);
+        package_base_release(&base);
+        for (size_t cut = 0; cut < c->bytes; cut += cut < 100 ? 1 : 1000)
+            assert_int_equal(package_base_get(c->data, cut, &base), ERR_CORRUPT);
+        for (size_t field = 40; field < 60; field += 4) {
+            c->data[field] ^= 0x81;
+            assert_int_equal(package_base_get(c->data, c->bytes, &base), ERR_CORRUPT);
+            c->data[field] ^= 0x81;
+        }
+    }
+    package_release(&p);
+    scene_release(&s);
+}
+
+static void no_memory_no_pieces(void **state)
+{
+    (void)state;
+    struct scene s;
+    struct package p;
+    uint64_t failed = 0;
+    (void)big_picture(&s);
+    s.images[0].width = s.images[0].height = 16;
+    for (uint64_t i = 0; i < 100000; i++) {
+        mem_fail_after(i);
+        enum err e = package_write_pieces(&s, 0, 1, &p);
+        mem_fail_after(UINT64_MAX);
+        if (e == ERR_OK)
+            break;
+        assert_int_equal(e, ERR_NOMEM);
+        failed++;
+    }
+    assert_true(failed > 20);
+    package_release(&p);
+    scene_release(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_large_picture_comes_back_from_pieces),
+        cmocka_unit_test(a_retouched_picture_sends_a_piece_and_a_base),
+        cmocka_unit_test(bad_pieces_are_refused),
+        cmocka_unit_test(bad_bases_are_refused),
+        cmocka_unit_test(no_memory_no_pieces),
         cmocka_unit_test(a_scene_comes_back_trimmed),
         cmocka_unit_test(edits_send_what_changed),
         cmocka_unit_test(parts_need_no_fetch),

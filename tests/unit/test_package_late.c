@@ -117,6 +117,31 @@ static void what_building_reads_is_not(void **state)
     assert_int_equal(choose(&r), 0);
 }
 
+/* One in pieces is late however small and alone, and its pieces with it, unless another picture
+ * that is not late has them, too. */
+static void those_in_pieces_are_late(void **state)
+{
+    (void)state;
+    struct rig r;
+    enum { PIECES = 3, FIRST = MESHES + IMAGES };
+    struct package_pieces pieces[IMAGES] = {{0}};
+    struct package_index_entry entries[FIRST + PIECES] = {{.bytes = 1}};
+    bool late[FIRST + PIECES];
+    static const uint32_t one[] = {FIRST, FIRST + 1}, other[] = {FIRST + 2, FIRST + 1};
+    rig_init(&r, 100);
+    memcpy(entries, r.entries, sizeof r.entries);
+    pieces[4] = (struct package_pieces){2, 1, one};
+    r.index = (struct package_index){.entries = entries, .count = FIRST + PIECES, .pieces = pieces};
+    assert_int_equal(package_late_choose(&r.tables, &r.index, late), 1);
+    assert_true(late[MESHES + 4] && late[FIRST] && late[FIRST + 1]);
+    assert_false(late[MESHES + 3]);
+    pieces[5] = (struct package_pieces){2, 1, other};
+    r.materials[5].emission_texture = 5;
+    assert_int_equal(package_late_choose(&r.tables, &r.index, late), 1);
+    assert_true(late[MESHES + 4] && late[FIRST]);
+    assert_false(late[MESHES + 5] || late[FIRST + 1] || late[FIRST + 2]);
+}
+
 static void no_pictures_no_matter(void **state)
 {
     (void)state;
@@ -132,9 +157,8 @@ static void no_pictures_no_matter(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(large_pictures_are_late),
-        cmocka_unit_test(few_or_small_ones_are_not),
-        cmocka_unit_test(what_building_reads_is_not),
+        cmocka_unit_test(large_pictures_are_late),    cmocka_unit_test(few_or_small_ones_are_not),
+        cmocka_unit_test(what_building_reads_is_not), cmocka_unit_test(those_in_pieces_are_late),
         cmocka_unit_test(no_pictures_no_matter),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

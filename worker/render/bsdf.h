@@ -33,7 +33,6 @@ struct material {
     rgb color; /* times the texture */
     bool twosided;
     bool vertex_colors;  /* times the mesh's */
-    bool late;           /* pictures of it may not be there yet */
     bool filtered;       /* some texture of it is averaged over footprints */
     bool needs_uv;       /* a texture is looked up, or tangents are wanted */
     bool transmits;      /* with a density: light from behind counts */

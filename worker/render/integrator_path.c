@@ -329,7 +329,7 @@ static bool arrive(const struct render_scene *scene, struct render_scratch *w, u
     if (depth < depth_max || shared)
         wave_shade(scene, w, from, v->footprint, &v->at);
     else
-        shade_of_hit(scene, hit, v->dir, v->footprint, &v->at);
+        shade_of_hit(scene, hit, v->dir, v->footprint, NULL, &v->at);
     bool ends_way = !shared && w->reuse[index].state == REUSE_WAY &&
                     replay_arrive(scene, w, index, &v->at, v->dir);
     if (scene->objects[hit->object].light_begin != SCENE_NONE && !ends_way)

@@ -33,10 +33,10 @@ void render_scratch_free(struct render_scratch *s)
     mem_free(s);
 }
 
-size_t render_lacks(const struct render_scratch *s, const uint32_t **images)
+size_t render_lacks(const struct render_scratch *s, const uint32_t **numbers)
 {
-    *images = s->lacks;
-    return s->lack_count;
+    *numbers = s->lacks.numbers;
+    return s->lacks.count;
 }
 
 /* Walks the groups of a unit, sample by sample: cells, rows of groups, groups, samples. */
@@ -406,7 +406,7 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
     *counters = (struct render_counters){.samples = sums.plane * block.count,
                                          .nonfinite_pixel = UINT64_MAX};
     scratch->ray_count = 0;
-    scratch->lack_count = 0;
+    scratch->lacks.count = scratch->lacks.met = 0;
     uint64_t failures = accel_failures(scene->accel);
     unsigned int mxcsr = _mm_getcsr();
     _mm_setcsr(MXCSR_DEFAULT);
@@ -421,11 +421,11 @@ enum err render_unit(const struct render_scene *scene, const struct grid *grid, 
         if (sums.mean_count > 0)
             first_hit_means(scene, scratch);
         integrate(scene, scratch);
-        cursor.skims = scratch->lack_count > 0;
+        cursor.skims = scratch->lacks.count > 0;
         if (!cursor.skims)
             add_wave(scene, scratch, &sums, counters);
     }
-    if (e == ERR_OK && scratch->lack_count > 0)
+    if (e == ERR_OK && scratch->lacks.count > 0)
         e = ERR_NOT_FOUND;
     if (e == ERR_OK && sums.centre_count > 0)
         put_centres(scene, grid, unit, scratch, &sums);

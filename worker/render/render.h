@@ -29,8 +29,9 @@ struct render_scratch; /* opaque */
 TL_NODISCARD enum err render_scratch_new(struct render_scratch **out);
 void render_scratch_free(struct render_scratch *s);
 
-/* So many late pictures are noted in one run of a unit; what else it lacks, the next run finds. */
-enum { RENDER_LACKS_MAX = 64 };
+/* So many late pictures and pieces of such are noted in one run of a unit; what else it lacks, the
+ * next run finds. */
+enum { RENDER_LACKS_MAX = 256 };
 
 /* Renders one unit. `grid` and the spec inside `scene` are of the same job. `out` has
  * job_plane_count planes of grid_pixels(unit) floats: sums of radiance over the block's
@@ -45,9 +46,10 @@ TL_NODISCARD enum err render_unit(const struct render_scene *scene, const struct
                                   const atomic_bool *stop, float *out,
                                   struct render_counters *counters);
 
-/* The pictures, as numbers of the scene's images, that the unit lacked which has just ended with
- * ERR_NOT_FOUND: at least one, each once. Valid until the scratch memory is used again. */
-size_t render_lacks(const struct render_scratch *s, const uint32_t **images);
+/* What the unit lacked which has just ended with ERR_NOT_FOUND: pictures, as numbers of the scene's
+ * images, and pieces of pictures, numbered behind them (scene_late.h); at least one, each once.
+ * Valid until the scratch memory is used again. */
+size_t render_lacks(const struct render_scratch *s, const uint32_t **numbers);
 
 /* The bits of a start-up self-test of everything that decides bits (tracing, samplers, BSDFs,
  * transcendentals): part of the determinism id. */

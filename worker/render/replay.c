@@ -129,7 +129,8 @@ static bool advance_lane(const struct render_scene *scene, struct render_scratch
         return false;
     struct shade at;
     rgb light;
-    shade_of_hit(scene, &w->hits[i], l->dir, NULL, &at);
+    /* Where the way ends nothing is read of what pictures say. */
+    shade_of_hit(scene, &w->hits[i], l->dir, NULL, turn < way->count ? &w->lacks : NULL, &at);
     if (turn == way->count) {
         end_lane(scene, w, l, &at.surface);
         return false;

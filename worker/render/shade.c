@@ -11,11 +11,32 @@ static frame frame_along(vec3 n, vec3 dpdu)
     return (frame){s, v3_cross(n, s), n};
 }
 
-/* The shading normal bent by a tangent-space normal map. */
-static vec3 mapped_normal(const struct render_scene *scene, const struct material *m,
-                          const struct surface *s, const struct texture_footprint *footprint)
+/* Where on its textures a hit is looked up. */
+struct look {
+    const struct render_scene *scene;
+    const struct surface *surface;
+    const struct texture_footprint *footprint; /* or NULL */
+    struct texture_lacks *lacks;
+};
+
+/* The colour of a texture at the hit; false where there is none, or not yet. */
+static bool look_up(const struct look *l, uint32_t texture, rgb *out)
 {
-    rgb c = texture_filtered(&scene->textures[m->normal_texture], s->u, s->v, footprint);
+    if (texture == SCENE_NONE)
+        return false;
+    uint32_t met = l->lacks->met;
+    *out = texture_filtered(&l->scene->textures[texture], l->surface->u, l->surface->v,
+                            l->footprint, l->lacks);
+    return l->lacks->met == met;
+}
+
+/* The shading normal bent by a tangent-space normal map. */
+static vec3 mapped_normal(const struct look *l, const struct material *m)
+{
+    const struct surface *s = l->surface;
+    rgb c;
+    if (!look_up(l, m->normal_texture, &c))
+        return s->ns;
     vec3 local = v3((2 * c.r - 1) * m->normal_scale, (2 * c.g - 1) * m->normal_scale, 2 * c.b - 1);
     frame f = frame_along(s->ns, s->dpdu);
     f.t = v3_scale(f.t, s->handed);
@@ -27,15 +48,18 @@ static vec3 mapped_normal(const struct render_scene *scene, const struct materia
 /* The normal of the surface moved along n by a map of heights (Blinn 1978), as n less the gradient
  * of the heights along the surface (Mikkelsen 2010, "Bump Mapping Unparametrized Surfaces on the
  * GPU"). Where the map has no direction or no end, n. */
-static vec3 bumped_normal(const struct render_scene *scene, const struct hit *hit,
-                          const struct surface *s, const struct texture_footprint *footprint)
+static vec3 bumped_normal(const struct look *l, const struct material *m, const struct hit *hit)
 {
-    const struct material *m = &scene->materials[s->material];
+    const struct surface *s = l->surface;
     vec3 dpdu, dpdv, n = s->ns;
     double slope[2];
-    if (!surface_tangents(scene, hit, &dpdu, &dpdv))
+    uint32_t met = l->lacks->met;
+    if (m->bump_texture == SCENE_NONE || !surface_tangents(l->scene, hit, &dpdu, &dpdv))
         return n;
-    texture_gradient(&scene->textures[m->bump_texture], s->u, s->v, footprint, slope);
+    texture_gradient(&l->scene->textures[m->bump_texture], s->u, s->v, l->footprint, l->lacks,
+                     slope);
+    if (l->lacks->met != met)
+        return n;
     vec3 across = v3_cross(dpdv, n), along = v3_cross(n, dpdu);
     double scale = m->bump_scale / v3_dot(dpdu, across);
     vec3 gradient = v3_add(v3_scale(across, slope[0] * scale), v3_scale(along, slope[1] * scale));
@@ -50,23 +74,18 @@ static double clamp01(double x)
 }
 
 /* Metallic-roughness and transmission at the point, as glTF packs them. */
-static void look_up_principled(const struct render_scene *scene, const struct material *m,
-                               const struct surface *s, const struct texture_footprint *footprint,
-                               bool lacks, struct bsdf *b)
+static void look_up_principled(const struct look *l, const struct material *m, struct bsdf *b)
 {
+    rgb t;
     b->metallic = m->metallic;
     b->roughness = m->roughness;
     b->transmission = m->transmission;
-    if (m->metallic_roughness_texture != SCENE_NONE && !lacks) {
-        rgb t = texture_filtered(&scene->textures[m->metallic_roughness_texture], s->u, s->v,
-                                 footprint);
+    if (look_up(l, m->metallic_roughness_texture, &t)) {
         b->roughness *= clamp01(t.g);
         b->metallic *= clamp01(t.b);
     }
-    if (m->transmission_texture != SCENE_NONE && !lacks) {
-        rgb t = texture_filtered(&scene->textures[m->transmission_texture], s->u, s->v, footprint);
+    if (look_up(l, m->transmission_texture, &t))
         b->transmission *= clamp01(t.r);
-    }
 }
 
 double shade_opacity(const struct render_scene *scene, const struct hit *hit, vec3 dir)
@@ -116,42 +135,31 @@ rgb shade_emission(const struct render_scene *scene, const struct hit *hit, cons
     if (footprint)
         footprint_uv(scene, hit, footprint, &uv);
     const struct texture *t = &scene->textures[object->emission_texture];
-    return rgb_mul(texture_filtered(t, s->u, s->v, footprint ? &uv : NULL), color);
-}
-
-static bool is_there(const struct render_scene *scene, uint32_t texture)
-{
-    return texture == SCENE_NONE || texture_is_there(&scene->textures[texture]);
-}
-
-/* All or nothing: what comes while a hit is shaded is for the next one. */
-static bool lacks_pictures(const struct render_scene *scene, const struct material *m)
-{
-    return m->late &&
-           !(is_there(scene, m->texture) && is_there(scene, m->normal_texture) &&
-             is_there(scene, m->bump_texture) && is_there(scene, m->metallic_roughness_texture) &&
-             is_there(scene, m->transmission_texture));
+    return rgb_mul(texture_filtered(t, s->u, s->v, footprint ? &uv : NULL, NULL), color);
 }
 
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
-                  const struct footprint *footprint, struct shade *out)
+                  const struct footprint *footprint, struct texture_lacks *lacks, struct shade *out)
 {
     surface_of_hit(scene, hit, &out->surface);
     struct surface *s = &out->surface;
     const struct material *m = &scene->materials[s->material];
-    struct texture_footprint area, *uv = NULL;
-    out->lacks = lacks_pictures(scene, m);
+    struct texture_footprint area;
+    struct texture_lacks unheard;
+    if (!lacks) {
+        lacks = &unheard;
+        lacks->met = lacks->count = 0;
+    }
+    struct look look = {.scene = scene, .surface = s, .lacks = lacks};
     if (footprint && m->filtered) {
         footprint_uv(scene, hit, footprint, &area);
-        uv = &area;
+        look.footprint = &area;
     }
     vec3 wo = v3_neg(dir);
     out->smooth = s->ns;
     out->tilt_alpha2 = 0;
-    if (m->normal_texture != SCENE_NONE && !out->lacks)
-        s->ns = mapped_normal(scene, m, s, uv);
-    if (m->bump_texture != SCENE_NONE && !out->lacks)
-        s->ns = bumped_normal(scene, hit, s, uv);
+    s->ns = mapped_normal(&look, m);
+    s->ns = bumped_normal(&look, m, hit);
     /* A shading normal seen from behind where the surface is seen from the front, or the other
      * way about, says nothing: the geometric one takes over. */
     out->bent = (v3_dot(wo, s->ns) > 0) != (v3_dot(wo, s->ng) > 0);
@@ -163,12 +171,11 @@ void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 
     out->wo = frame_to_local(&out->frame, wo);
     out->bsdf.material = m;
     out->bsdf.color = m->color;
-    if (m->texture != SCENE_NONE && !out->lacks) {
-        rgb t = texture_filtered(&scene->textures[m->texture], s->u, s->v, uv);
+    rgb t;
+    if (look_up(&look, m->texture, &t))
         out->bsdf.color = rgb_mul(m->color, t);
-    }
     if (m->vertex_colors)
         out->bsdf.color = rgb_mul(out->bsdf.color, s->color);
     if (m->type == SCENE_MATERIAL_PRINCIPLED)
-        look_up_principled(scene, m, s, uv, out->lacks, &out->bsdf);
+        look_up_principled(&look, m, &out->bsdf);
 }

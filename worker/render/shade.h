@@ -12,7 +12,6 @@ struct shade {
     frame frame; /* n is the shading normal */
     struct bsdf bsdf;
     vec3 wo;            /* local */
-    bool lacks;         /* pictures of the material are not there yet: it is shaded without any */
     bool bent;          /* the shading normal was of no use, the geometric one stands for it */
     vec3 smooth;        /* the normal before a normal map tilted it */
     double tilt_alpha2; /* roughness that goes with that tilt, squared; 0: none */
@@ -22,9 +21,11 @@ struct shade {
 double shade_opacity(const struct render_scene *scene, const struct hit *hit, vec3 dir);
 
 /* `dir` is the unit direction of the ray that hit. `footprint` is what it stands for there, NULL
- * for a point; only scene->has_filtered makes a difference. */
+ * for a point; only scene->has_filtered makes a difference. Textures that are not there yet are
+ * noted in `lacks` (not if that is NULL), and the hit is shaded without them. */
 void shade_of_hit(const struct render_scene *scene, const struct hit *hit, vec3 dir,
-                  const struct footprint *footprint, struct shade *out);
+                  const struct footprint *footprint, struct texture_lacks *lacks,
+                  struct shade *out);
 
 /* What emitted radiance is multiplied by at the hit: its texture, over the footprint if that is not
  * NULL, and the colours of vertices. Only of objects whose emission differs. */

@@ -2,7 +2,7 @@
 
 #include <emmintrin.h>
 
-#include "worker/render/srgb_table.h"
+#include "common/texel.h"
 
 /* Over which a checkerboard's slope is taken: half of it to either side, in its own space. */
 #define SLOPE_STEP (1.0 / 256)
@@ -33,31 +33,95 @@ size_t texture_level_texels(const struct texture_level *l)
     return l->tiles_across * tiles_down << (l->tile_shift[0] + l->tile_shift[1]);
 }
 
+/* Squares of a level that pieces have: log2 of their side. */
+static unsigned square_shift(uint32_t level)
+{
+    return PYRAMID_PIECE_SHIFT - level;
+}
+
+/* The sum of a geometric series: each level has a quarter of the texels of the one below. */
+size_t texture_piece_texels(uint32_t levels)
+{
+    unsigned all = 2 * (PYRAMID_PIECE_SHIFT + 1);
+    return (((size_t)1 << all) - ((size_t)1 << (all - 2 * levels))) / 3;
+}
+
+size_t texture_piece_place(uint32_t level, uint32_t x, uint32_t y)
+{
+    unsigned shift = square_shift(level);
+    uint32_t mask = (1u << shift) - 1, in = (1u << TEXTURE_TILE_SHIFT) - 1;
+    x &= mask;
+    y &= mask;
+    size_t tile = ((size_t)(y >> TEXTURE_TILE_SHIFT) << (shift - TEXTURE_TILE_SHIFT)) +
+                  (x >> TEXTURE_TILE_SHIFT);
+    return texture_piece_texels(level) + (tile << 2 * TEXTURE_TILE_SHIFT) +
+           ((size_t)(y & in) << TEXTURE_TILE_SHIFT) + (x & in);
+}
+
+/* Notes what is not there. */
+static void lack(struct texture_lacks *lacks, uint32_t number)
+{
+    if (!lacks)
+        return;
+    lacks->met++;
+    for (uint32_t i = lacks->count; i > 0; i--)
+        if (lacks->numbers[i - 1] == number)
+            return;
+    if (lacks->count < RENDER_LACKS_MAX)
+        lacks->numbers[lacks->count++] = number;
+}
+
+/* Whether the texels of a level outside pieces can be read. */
+static bool is_there(const struct texture_image *image, struct texture_lacks *lacks)
+{
+    if (!atomic_load_explicit(&image->absent, memory_order_acquire))
+        return true;
+    lack(lacks, image->number);
+    return false;
+}
+
+/* Whether the sides of a texture's levels are known: of a whole picture once it is there. */
+static bool is_known(const struct texture *t, struct texture_lacks *lacks)
+{
+    return t->type != SCENE_TEXTURE_IMAGE || t->image->piece_levels > 0 ||
+           is_there(t->image, lacks);
+}
+
+static void missing(double c[4])
+{
+    c[0] = c[1] = c[2] = c[3] = 1;
+}
+
 static void texel_at(const struct texture_image *image, const struct texture_level *l, size_t place,
                      double c[4])
 {
-    uint32_t count = image->channel_count;
-    size_t at = place * count;
-    c[3] = 1;
-    if (image->format == SCENE_IMAGE_F32) {
-        const float *p = (const float *)l->texels + at;
-        for (uint32_t k = 0; k < count; k++)
-            c[k] = (double)p[k];
-    } else {
-        const unsigned char *p = (const unsigned char *)l->texels + at;
-        for (uint32_t k = 0; k < count; k++) {
-            bool curve = image->format == SCENE_IMAGE_U8_SRGB && k < 3;
-            c[k] = curve ? srgb_table[p[k]] : p[k] / 255.0;
-        }
-    }
-    if (count == 1)
-        c[1] = c[2] = c[0];
+    texel_get(image->format, image->channel_count, l->texels, place, c);
 }
 
 void texture_texel(const struct texture_image *image, const struct texture_level *l, uint32_t x,
                    uint32_t y, double c[4])
 {
     texel_at(image, l, texture_place(l, x, y), c);
+}
+
+/* A texel of a level that is in pieces. */
+static void piece_texel(const struct texture_image *image, uint32_t level, uint32_t x, uint32_t y,
+                        struct texture_lacks *lacks, double c[4])
+{
+    unsigned shift = square_shift(level);
+    uint32_t piece = (y >> shift) * image->pieces_across + (x >> shift);
+    const void *texels = atomic_load_explicit(&image->pieces[piece], memory_order_acquire);
+    if (texels) {
+        texel_get(image->format, image->channel_count, texels, texture_piece_place(level, x, y), c);
+        return;
+    }
+    missing(c);
+    lack(lacks, image->first_number + piece);
+}
+
+static bool is_in_pieces(const struct texture_image *image, const struct texture_level *l)
+{
+    return l < image->levels + image->piece_levels;
 }
 
 /* A texel index for any whole number, by the wrap mode. */
@@ -77,11 +141,16 @@ static uint32_t wrap_index(double i, uint32_t size, enum scene_wrap wrap)
 /* --- At a point ----------------------------------------------------------- */
 
 static void nearest(const struct texture *t, const struct texture_level *l, double s, double r,
-                    double c[4])
+                    struct texture_lacks *lacks, double c[4])
 {
-    double x = floor_of(s * l->width), y = floor_of((1 - r) * l->height);
-    texture_texel(t->image, l, wrap_index(x, l->width, t->wrap[0]),
-                  wrap_index(y, l->height, t->wrap[1]), c);
+    uint32_t x = wrap_index(floor_of(s * l->width), l->width, t->wrap[0]);
+    uint32_t y = wrap_index(floor_of((1 - r) * l->height), l->height, t->wrap[1]);
+    if (is_in_pieces(t->image, l))
+        piece_texel(t->image, (uint32_t)(l - t->image->levels), x, y, lacks, c);
+    else if (is_there(t->image, lacks))
+        texture_texel(t->image, l, x, y, c);
+    else
+        missing(c);
 }
 
 /* The two texel indices about x, in texels from the first's middle, and how far it lies between
@@ -123,38 +192,61 @@ static void sum_f32x3(const float *texels, const size_t places[4], const double 
     c[3] = 1;
 }
 
+/* The weighted sum of four texels of pieces, as bilinear() has it. */
+static void sum_pieces(const struct texture_image *image, uint32_t level, const uint32_t xs[2],
+                       const uint32_t ys[2], const double weights[4], struct texture_lacks *lacks,
+                       double c[4])
+{
+    c[0] = c[1] = c[2] = c[3] = 0;
+    for (int k = 0; k < 4; k++) {
+        double texel[4] = {0};
+        piece_texel(image, level, xs[k & 1], ys[k >> 1], lacks, texel);
+        for (int j = 0; j < 4; j++)
+            c[j] += texel[j] * weights[k];
+    }
+}
+
 static void bilinear(const struct texture *t, const struct texture_level *l, double s, double r,
-                     double c[4])
+                     struct texture_lacks *lacks, double c[4])
 {
     const struct texture_image *image = t->image;
     uint32_t xs[2], ys[2];
     double fx = neighbours(s * l->width - 0.5, l->width, t->wrap[0], xs);
     double fy = neighbours((1 - r) * l->height - 0.5, l->height, t->wrap[1], ys);
+    const double weights[4] = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
+    if (is_in_pieces(image, l)) {
+        sum_pieces(image, (uint32_t)(l - image->levels), xs, ys, weights, lacks, c);
+        return;
+    }
+    if (!is_there(image, lacks)) {
+        missing(c);
+        return;
+    }
     size_t columns[2] = {texture_column(l, xs[0]), texture_column(l, xs[1])};
     size_t rows[2] = {texture_row(l, ys[0]), texture_row(l, ys[1])};
     const size_t places[4] = {columns[0] + rows[0], columns[1] + rows[0], columns[0] + rows[1],
                               columns[1] + rows[1]};
-    const double weights[4] = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
     if (image->format == SCENE_IMAGE_F32 && image->channel_count == 3) {
         sum_f32x3(l->texels, places, weights, c);
         return;
     }
     c[0] = c[1] = c[2] = c[3] = 0;
     for (int k = 0; k < 4; k++) {
-        double texel[4];
+        double texel[4] = {0};
         texel_at(image, l, places[k], texel);
         for (int j = 0; j < 4; j++)
             c[j] += texel[j] * weights[k];
     }
 }
 
-static void at_point(const struct texture *t, double s, double r, double c[4])
+static void at_point(const struct texture *t, double s, double r, struct texture_lacks *lacks,
+                     double c[4])
 {
     const struct texture_level *l = &t->image->levels[0];
     if (t->filter == SCENE_FILTER_NEAREST)
-        nearest(t, l, s, r, c);
+        nearest(t, l, s, r, lacks, c);
     else
-        bilinear(t, l, s, r, c);
+        bilinear(t, l, s, r, lacks, c);
 }
 
 static rgb factored(const struct texture *t, const double c[4])
@@ -176,17 +268,22 @@ static rgb checker_color(const struct texture *t, double s, double r)
     return t->color[sum - 2 * floor_of(sum / 2) != 0];
 }
 
-rgb texture_color(const struct texture *t, double u, double v)
+static rgb color_at(const struct texture *t, double u, double v, struct texture_lacks *lacks)
 {
     if (t->type == SCENE_TEXTURE_CONSTANT)
         return t->color[0];
     double s, r, c[4];
     map_uv(t, u, v, &s, &r);
     if (t->type == SCENE_TEXTURE_IMAGE) {
-        at_point(t, s, r, c);
+        at_point(t, s, r, lacks, c);
         return factored(t, c);
     }
     return checker_color(t, s, r);
+}
+
+rgb texture_color(const struct texture *t, double u, double v)
+{
+    return color_at(t, u, v, NULL);
 }
 
 double texture_alpha(const struct texture *t, double u, double v)
@@ -195,7 +292,7 @@ double texture_alpha(const struct texture *t, double u, double v)
         return 1;
     double s, r, c[4];
     map_uv(t, u, v, &s, &r);
-    at_point(t, s, r, c);
+    at_point(t, s, r, NULL, c);
     return c[3];
 }
 
@@ -228,24 +325,25 @@ static struct ellipse ellipse_of(const double a[2], const double b[2])
 
 /* Between the two levels whose texels are just narrower and just wider than `width` texels of the
  * finest, linearly in the width. */
-static void trilinear(const struct texture *t, double s, double r, double width, double c[4])
+static void trilinear(const struct texture *t, double s, double r, double width,
+                      struct texture_lacks *lacks, double c[4])
 {
     uint32_t level = 0, last = t->image->level_count - 1;
     while (width >= 2 && level < last) {
         width *= 0.5;
         level++;
     }
-    bilinear(t, &t->image->levels[level], s, r, c);
+    bilinear(t, &t->image->levels[level], s, r, lacks, c);
     if (!(width > 1) || level == last)
         return;
     double coarse[4];
-    bilinear(t, &t->image->levels[level + 1], s, r, coarse);
+    bilinear(t, &t->image->levels[level + 1], s, r, lacks, coarse);
     for (int j = 0; j < 4; j++)
         c[j] += (coarse[j] - c[j]) * (width - 1);
 }
 
 static void image_mean(const struct texture *t, double s, double r, const double side[2][2],
-                       double c[4])
+                       struct texture_lacks *lacks, double c[4])
 {
     const struct texture_image *image = t->image;
     double texels[2] = {image->levels[0].width, image->levels[0].height};
@@ -254,7 +352,7 @@ static void image_mean(const struct texture *t, double s, double r, const double
     struct ellipse e = ellipse_of(a, b);
     /* Also where it is no number: nothing is known of the place then. */
     if (!(e.longer < 4.0 * SCENE_IMAGE_SIDE_MAX)) {
-        bilinear(t, &image->levels[image->level_count - 1], s, r, c);
+        bilinear(t, &image->levels[image->level_count - 1], s, r, lacks, c);
         return;
     }
     double width =
@@ -263,7 +361,7 @@ static void image_mean(const struct texture *t, double s, double r, const double
     uint32_t probes = (uint32_t)(e.longer / width);
     probes += probes < e.longer / width;
     if (probes <= 1) {
-        trilinear(t, s, r, width, c);
+        trilinear(t, s, r, width, lacks, c);
         return;
     }
     /* From end to end of the ellipse, each as wide as `width`: one that is hardly longer than that
@@ -272,7 +370,7 @@ static void image_mean(const struct texture *t, double s, double r, const double
     c[0] = c[1] = c[2] = c[3] = 0;
     for (uint32_t i = 0; i < probes; i++) {
         double probe[4], along = (i / (probes - 1.0) - 0.5) * spread;
-        trilinear(t, s + along * e.x / texels[0], r + along * e.y / texels[1], width, probe);
+        trilinear(t, s + along * e.x / texels[0], r + along * e.y / texels[1], width, lacks, probe);
         for (int j = 0; j < 4; j++)
             c[j] += probe[j];
     }
@@ -321,39 +419,43 @@ static void map_footprint(const struct texture *t, const struct texture_footprin
 }
 
 rgb texture_filtered(const struct texture *t, double u, double v,
-                     const struct texture_footprint *footprint)
+                     const struct texture_footprint *footprint, struct texture_lacks *lacks)
 {
+    if (!is_known(t, lacks))
+        return rgb_grey(1);
     if (!is_averaged(t, footprint))
-        return texture_color(t, u, v);
+        return color_at(t, u, v, lacks);
     double s, r, c[4], side[2][2];
     map_uv(t, u, v, &s, &r);
     map_footprint(t, footprint, side);
     if (t->type == SCENE_TEXTURE_CHECKERBOARD)
         return checker_mean(t, s, r, side);
-    image_mean(t, s, r, side, c);
+    image_mean(t, s, r, side, lacks, c);
     return factored(t, c);
 }
 
 /* --- Slopes ---------------------------------------------------------------- */
 
 /* Luminance at a point of the texture's own space; `side` NULL: no footprint. */
-static double luminance_at(const struct texture *t, double s, double r, const double side[2][2])
+static double luminance_at(const struct texture *t, double s, double r, const double side[2][2],
+                           struct texture_lacks *lacks)
 {
     double c[4];
     if (t->type == SCENE_TEXTURE_CHECKERBOARD)
         return rgb_luminance(side ? checker_mean(t, s, r, side) : checker_color(t, s, r));
     if (side)
-        image_mean(t, s, r, side, c);
+        image_mean(t, s, r, side, lacks, c);
     else
-        at_point(t, s, r, c);
+        at_point(t, s, r, lacks, c);
     return rgb_luminance(factored(t, c));
 }
 
 void texture_gradient(const struct texture *t, double u, double v,
-                      const struct texture_footprint *footprint, double gradient[2])
+                      const struct texture_footprint *footprint, struct texture_lacks *lacks,
+                      double gradient[2])
 {
     gradient[0] = gradient[1] = 0;
-    if (t->type == SCENE_TEXTURE_CONSTANT)
+    if (t->type == SCENE_TEXTURE_CONSTANT || !is_known(t, lacks))
         return;
     double s, r, side[2][2], step[2] = {SLOPE_STEP, SLOPE_STEP};
     const double(*wide)[2] = NULL;
@@ -370,12 +472,11 @@ void texture_gradient(const struct texture *t, double u, double v,
             step[k] = across > step[k] ? across : step[k];
         }
     }
-    double ds =
-        (luminance_at(t, s + step[0] / 2, r, wide) - luminance_at(t, s - step[0] / 2, r, wide)) /
-        step[0];
-    double dr =
-        (luminance_at(t, s, r + step[1] / 2, wide) - luminance_at(t, s, r - step[1] / 2, wide)) /
-        step[1];
+    double right = luminance_at(t, s + step[0] / 2, r, wide, lacks);
+    double left = luminance_at(t, s - step[0] / 2, r, wide, lacks);
+    double above = luminance_at(t, s, r + step[1] / 2, wide, lacks);
+    double below = luminance_at(t, s, r - step[1] / 2, wide, lacks);
+    double ds = (right - left) / step[0], dr = (above - below) / step[1];
     const double *m = t->uv_matrix;
     gradient[0] = m[0] * ds + m[3] * dr;
     gradient[1] = m[1] * ds + m[4] * dr;

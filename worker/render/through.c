@@ -91,7 +91,7 @@ static bool look_on(const struct render_scene *scene, struct render_scratch *w, 
     if (turn == 0 && !at_sky && !(hit->t < IN_FRONT))
         return false;
     struct shade at;
-    shade_of_hit(scene, hit, l->dir, NULL, &at);
+    shade_of_hit(scene, hit, l->dir, NULL, &w->lacks, &at);
     if (turn > 0 && replay_lamp(scene, &at.surface, l->dir, &light)) {
         if (through_light(scene, &at.surface) == l->light)
             add_light(w, i, light);

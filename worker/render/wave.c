@@ -66,30 +66,10 @@ void wave_trace(const struct render_scene *scene, struct render_scratch *w)
         pass_rays(scene, w);
 }
 
-static void note_lack(const struct render_scene *scene, struct render_scratch *w, uint32_t texture)
-{
-    if (texture == SCENE_NONE || texture_is_there(&scene->textures[texture]))
-        return;
-    uint32_t image = (uint32_t)(scene->textures[texture].image - scene->images);
-    for (uint32_t k = 0; k < w->lack_count; k++)
-        if (w->lacks[k] == image)
-            return;
-    if (w->lack_count < RENDER_LACKS_MAX)
-        w->lacks[w->lack_count++] = image;
-}
-
 void wave_shade(const struct render_scene *scene, struct render_scratch *w, uint32_t i,
                 const struct footprint *footprint, struct shade *out)
 {
-    shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), footprint, out);
-    if (!out->lacks)
-        return;
-    const struct material *m = out->bsdf.material;
-    note_lack(scene, w, m->texture);
-    note_lack(scene, w, m->normal_texture);
-    note_lack(scene, w, m->bump_texture);
-    note_lack(scene, w, m->metallic_roughness_texture);
-    note_lack(scene, w, m->transmission_texture);
+    shade_of_hit(scene, &w->hits[i], v3_of(w->rays[i].dir), footprint, &w->lacks, out);
 }
 
 struct footprint *wave_arrive(const struct render_scene *scene, struct render_scratch *w,

@@ -91,10 +91,7 @@ struct render_scratch {
 
     uint64_t ray_count; /* cast so far in this unit */
 
-    /* Pictures that paths of this unit have met and that are not there yet: numbers of the scene's
-     * images, each once. */
-    uint32_t lacks[RENDER_LACKS_MAX];
-    uint32_t lack_count;
+    struct texture_lacks lacks; /* what paths of this unit have met and that is not there yet */
 };
 
 /* The sets of the sampler. A direction and the light point at the vertex that it leads to are drawn

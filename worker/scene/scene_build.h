@@ -12,7 +12,7 @@
 #ifndef WORKER_SCENE_SCENE_BUILD_H
 #define WORKER_SCENE_SCENE_BUILD_H
 
-#include "common/digest.h"
+#include "common/package.h"
 #include "common/scene.h"
 #include "worker/render/render.h"
 #include "worker/render/accel_lazy.h"
@@ -34,11 +34,13 @@ struct scene_trees {
     void *ctx;
 };
 
-/* Where a late picture is to be had. */
+/* Where a late picture is to be had. Of one in pieces the scene's image has all but pixels. */
 struct late_chunk {
     bool late;
-    digest name;    /* of its chunk */
+    digest name;    /* of its chunk, or its base */
     uint64_t bytes; /* of that, plain */
+    struct package_pieces pieces;
+    const struct package_index_entry *entries; /* in which the pieces are; or NULL */
 };
 
 /* How scene_build_as goes about it; zeros: as scene_build. */
@@ -53,8 +55,8 @@ struct scene_building {
      * render thread (accel_lazy.h); such trees are not kept. 0: none. */
     uint32_t lazy_triangles_min;
 
-    /* For each image, whether it comes later (scene_late.h): then it may be empty now. Not of one
-     * that building reads (package_late.h). Lent for the call. NULL: none does. */
+    /* For each image, whether it comes later (scene_late.h): then it may have no pixels now. Not of
+     * one that building reads (package_late.h). Lent for the call. NULL: none does. */
     const struct late_chunk *late;
 };
 

@@ -120,12 +120,6 @@ static bool is_filtered(const struct render_scene *rs, uint32_t texture)
            rs->textures[texture].type != SCENE_TEXTURE_CONSTANT;
 }
 
-/* True if a lookup may have to wait for its picture. */
-static bool is_late(const struct render_scene *rs, uint32_t texture)
-{
-    return texture != SCENE_NONE && !texture_is_there(&rs->textures[texture]);
-}
-
 static void make_materials(struct render_scene *rs, const struct scene *scene)
 {
     bool shows_uv = aov_has(rs->spec.aov, AOV_UV);
@@ -139,9 +133,6 @@ static void make_materials(struct render_scene *rs, const struct scene *scene)
                       is_filtered(rs, m->metallic_roughness_texture) ||
                       is_filtered(rs, m->transmission_texture) ||
                       is_filtered(rs, m->normal_texture) || is_filtered(rs, m->bump_texture);
-        m->late = is_late(rs, m->texture) || is_late(rs, m->metallic_roughness_texture) ||
-                  is_late(rs, m->transmission_texture) || is_late(rs, m->normal_texture) ||
-                  is_late(rs, m->bump_texture);
         m->bump_scale = from->bump_scale * rs->scale;
     }
     rs->materials[scene->material_count] = (struct material){.type = SCENE_MATERIAL_BLACK,

@@ -26,11 +26,24 @@ TL_NODISCARD enum err scene_build_images(struct render_scene *rs, const struct s
 TL_NODISCARD enum err texture_image_make(struct arena *arena, const struct scene_image *from,
                                          const struct image_use *use, struct texture_image *out);
 
+/* The sides of all levels of an image, without room for texels. */
+void texture_image_levels(const struct scene_image *from, bool pyramid, struct texture_image *out);
+
+/* The levels of a base into an image that has their sides. */
+TL_NODISCARD enum err texture_image_base(struct arena *arena, const struct package_base *from,
+                                         struct texture_image *out);
+
+/* A piece of an image with so many levels (texture_piece). */
+TL_NODISCARD enum err texture_piece_make(struct arena *arena, const struct scene_image *from,
+                                         uint32_t levels, const void **out);
+
 /* rs->late, if anything is late; before scene_build_images, which tells it of each late image that
  * is used. */
 TL_NODISCARD enum err scene_late_new(struct render_scene *rs, const struct scene *scene,
                                      const struct late_chunk *late);
-void scene_late_leave_out(struct render_scene *rs, uint32_t image, const struct image_use *use);
+TL_NODISCARD enum err scene_late_leave_out(struct render_scene *rs, const struct scene *scene,
+                                           uint32_t image, const struct image_use *use,
+                                           const struct late_chunk *from);
 void scene_late_free(struct scene_late *late); /* NULL: nothing to do */
 size_t scene_late_bytes(const struct scene_late *late);
 

@@ -1,4 +1,4 @@
-#include "worker/render/srgb_table.h"
+#include "common/srgb_table.h"
 
 const double srgb_table[256] = {
     0.0,
