@@ -12,6 +12,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/ptrace.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -335,6 +336,116 @@ static void the_folder_is_bounded_and_checked(void **ctx)
     mem_free(inside);
 }
 
+/* A file with any byte changed, or cut anywhere, is no tree, and is dropped. */
+static void a_change_anywhere_is_found(void **ctx)
+{
+    (void)ctx;
+    enum { BYTES = 1500 };
+    char folder[] = "/tmp/test_trees.XXXXXX";
+    struct tree_cache *c;
+    struct stat st;
+    assert_non_null(mkdtemp(folder));
+    assert_int_equal(tree_cache_new(folder, 10000, &c), ERR_OK);
+    char *path = file_of(folder, 1);
+    assert_int_equal(put(c, 1, BYTES), ERR_OK);
+    assert_int_equal(stat(path, &st), 0);
+    for (off_t at = 0; at < st.st_size; at++) {
+        unsigned char byte;
+        assert_int_equal(put(c, 1, BYTES), ERR_OK);
+        assert_true(has(c, 1, BYTES));
+        int fd = open(path, O_RDWR);
+        assert_true(fd >= 0 && pread(fd, &byte, 1, at) == 1);
+        byte ^= (unsigned char)(1u << at % 8);
+        assert_true(pwrite(fd, &byte, 1, at) == 1 && close(fd) == 0);
+        void *data = NULL;
+        size_t bytes = 0;
+        enum err e = tree_cache_get(c, &(digest){{1}}, NULL, &data, &bytes);
+        /* Of the head, some bytes are of no use. */
+        bool pad = at >= 24 && at < 64;
+        assert_int_equal(e, pad ? ERR_OK : ERR_NOT_FOUND);
+        assert_int_equal(access(path, F_OK) == 0, pad);
+        mem_free(data);
+        assert_int_equal(put(c, 1, BYTES), ERR_OK);
+        assert_int_equal(truncate(path, at), 0);
+        assert_false(has(c, 1, BYTES));
+    }
+    mem_free(path);
+    tree_cache_free(c);
+    char *inside = mem_sprintf("%s/trees", folder);
+    assert_int_equal(rmdir(inside), 0);
+    assert_int_equal(rmdir(folder), 0);
+    mem_free(inside);
+}
+
+enum { KILLED_BYTES = (2 << 20) + 100 }; /* of several writes */
+
+/* Puts tree 6 in a process that is killed at its system call number `call`, on the way into it or
+ * out of it by turns. True if it has ended before. */
+static bool put_until(struct tree_cache *c, long call)
+{
+    int status;
+    pid_t child = fork();
+    assert_true(child >= 0);
+    if (child == 0) {
+        if (ptrace(PTRACE_TRACEME, 0, NULL, NULL) != 0 || raise(SIGSTOP) != 0)
+            _exit(2);
+        _exit(put(c, 6, KILLED_BYTES) == ERR_OK ? 0 : 1);
+    }
+    for (long i = 0; i <= call; i++) {
+        assert_int_equal(waitpid(child, &status, 0), child);
+        if (WIFEXITED(status)) {
+            assert_int_equal(WEXITSTATUS(status), 0);
+            return true;
+        }
+        assert_true(WIFSTOPPED(status));
+        if (i < call)
+            assert_int_equal(ptrace(PTRACE_SYSCALL, child, NULL, NULL), 0);
+    }
+    assert_int_equal(kill(child, SIGKILL), 0);
+    assert_int_equal(waitpid(child, &status, 0), child);
+    assert_true(WIFSIGNALED(status));
+    return false;
+}
+
+/* What a writer leaves that is killed anywhere: the tree, whole, or none; other trees as they were;
+ * and the next writer has its way. */
+static void a_kill_at_any_call_leaves_no_broken_tree(void **ctx)
+{
+    (void)ctx;
+    char folder[] = "/tmp/test_trees.XXXXXX";
+    struct tree_cache *c, *next;
+    long call = 1, there = 0, none = 0;
+    bool ended = false;
+    assert_non_null(mkdtemp(folder));
+    char *path = file_of(folder, 6), *inside = mem_sprintf("%s/trees", folder);
+    assert_int_equal(tree_cache_new(folder, 3 * KILLED_BYTES, &c), ERR_OK);
+    for (; !ended; call++) {
+        assert_int_equal(put(c, 1, 3000), ERR_OK);
+        ended = put_until(c, call);
+        bool is_there = access(path, F_OK) == 0;
+        assert_int_equal(tree_cache_new(folder, 3 * KILLED_BYTES, &next), ERR_OK);
+        assert_int_equal(has(next, 6, KILLED_BYTES), is_there);
+        assert_true(has(next, 1, 3000));
+        there += is_there;
+        none += !is_there;
+        tree_cache_drop(next, &(digest){{6}});
+        assert_int_equal(put(next, 6, KILLED_BYTES), ERR_OK);
+        assert_true(has(next, 6, KILLED_BYTES));
+        tree_cache_drop(next, &(digest){{6}});
+        tree_cache_free(next);
+    }
+    printf("  %ld kills: %ld times no tree, %ld times the tree\n", call - 2, none, there);
+    assert_true(none > 10 && there > 1);
+    /* What the killed have left counts, and goes when room is wanted. */
+    assert_int_equal(tree_cache_new(folder, 1, &next), ERR_OK);
+    tree_cache_free(next);
+    tree_cache_free(c);
+    assert_int_equal(rmdir(inside), 0);
+    assert_int_equal(rmdir(folder), 0);
+    mem_free(inside);
+    mem_free(path);
+}
+
 /* One claims a tree, others wait for it: until it is there, until its builder is killed, or until
  * they have waited enough. */
 static void one_builds_and_others_wait(void **ctx)
@@ -401,6 +512,8 @@ int main(void)
         cmocka_unit_test(large_trees_are_walked_in_parts),
         cmocka_unit_test(keys_follow_the_geometry),
         cmocka_unit_test(the_folder_is_bounded_and_checked),
+        cmocka_unit_test(a_change_anywhere_is_found),
+        cmocka_unit_test(a_kill_at_any_call_leaves_no_broken_tree),
         cmocka_unit_test(one_builds_and_others_wait),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
