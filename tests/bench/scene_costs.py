@@ -122,33 +122,39 @@ def rooms(bin_dir, folder):
 
 
 def gallery(bin_dir, folder):
-    """60 pictures of which the camera sees three, and all of them, fetched when met and at once; runs interleaved."""
-    maker = pathlib.Path(__file__).resolve().parents[2] / "scenes" / "make_gallery.py"
-    run(sys.executable, maker, folder / "gallery")
+    """60 pictures of which the camera sees three, and all of them; and one large one, of which it sees a part, and all. Fetched
+    when met and at once; runs interleaved."""
+    scenes = pathlib.Path(__file__).resolve().parents[2] / "scenes"
+    run(sys.executable, scenes / "make_gallery.py", folder / "gallery")
+    run(sys.executable, scenes / "make_floor.py", folder / "large")
     print("\n| scene | pictures | sent, MB | total s | first result s | peak of the worker, MB |")
     print("|---|---|---:|---:|---:|---:|")
-    for scene in ("rooms", "wall"):
-        data = folder / f"farm-{scene}"
+    for name in ("gallery/rooms", "gallery/wall", "large/floor", "large/wall"):
+        data = folder / f"farm-{name.replace('/', '-')}"
         data.mkdir()
-        farm = Farm(bin_dir, data)
-        rows = {}
-        for turn in range(-1, 5):
-            for name, more in (("when met", ()), ("all at once (`--eager`)", ("--eager",))):
-                worker = farm.start("tilery-worker", "--master", farm.listen, "--threads", "2", *more)
-                worker.stdout.readline()
-                report = farm.job(folder / "gallery" / f"{scene}.json", "--spp", "4", "--seed", str(turn + 2))
-                status = pathlib.Path(f"/proc/{worker.pid}/status").read_text()
-                worker.terminate()
-                worker.wait()
-                s = report["seconds"]
-                if turn >= 0:  # the first sends the package to the master
-                    rows.setdefault(name, []).append((report["bytes"]["scene_sent"] / 1e6, s["total"], s["first_result"],
-                                                      int(status.split("VmHWM:")[1].split()[0]) / 1e3))
-        for name, values in rows.items():
-            sent, total, first, peak = (statistics.median(column) for column in zip(*values))
-            print(f"| {scene} | {name} | {sent:.1f} | {total:.2f} | {first:.2f} | {peak:.0f} |")
-        farm.master.terminate()
-        farm.master.wait()
+        compare_late(bin_dir, data, folder / f"{name}.json", name)
+
+
+def compare_late(bin_dir, data, scene, title):
+    farm = Farm(bin_dir, data)
+    rows = {}
+    for turn in range(-1, 5):
+        for name, more in (("when met", ()), ("all at once (`--eager`)", ("--eager",))):
+            worker = farm.start("tilery-worker", "--master", farm.listen, "--threads", "2", *more)
+            worker.stdout.readline()
+            report = farm.job(scene, "--spp", "4", "--seed", str(turn + 2))
+            status = pathlib.Path(f"/proc/{worker.pid}/status").read_text()
+            worker.terminate()
+            worker.wait()
+            s = report["seconds"]
+            if turn >= 0:  # the first sends the package to the master
+                rows.setdefault(name, []).append((report["bytes"]["scene_sent"] / 1e6, s["total"], s["first_result"],
+                                                  int(status.split("VmHWM:")[1].split()[0]) / 1e3))
+    for name, values in rows.items():
+        sent, total, first, peak = (statistics.median(column) for column in zip(*values))
+        print(f"| {title} | {name} | {sent:.1f} | {total:.2f} | {first:.2f} | {peak:.0f} |")
+    farm.master.terminate()
+    farm.master.wait()
 
 
 def ball_scene(bin_dir, folder, side):

@@ -313,3 +313,68 @@ def test_memory_for_less_than_the_pictures(farm, gallery, eager):
     report = farm.wait_job(farm.submit(gallery / "rooms.json", *OPTIONS), timeout=120)
     assert report["image_sha256"] == eager["rooms"]["image_sha256"]
     assert "memory is wanted" in worker.log()
+
+
+# --- Pictures in pieces ------------------------------------------------------------------------
+
+LARGE = 2048  # sixteen pieces of 512 x 512 texels
+
+
+@pytest.fixture(scope="module")
+def floor(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("floor")
+    subprocess.run([sys.executable, ROOT / "scenes/make_floor.py", folder, str(LARGE)], check=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def floor_whole(floor, tmp_path_factory):
+    """Reports of both scenes from a worker that has all of the picture, by the scene's name."""
+    reports = {}
+    for name in ("floor", "wall"):
+        with Farm(tmp_path_factory.mktemp(name)) as f:
+            f.worker(threads=2, arguments=("--eager",))
+            reports[name] = f.wait_job(f.submit(floor / f"{name}.json", *OPTIONS), timeout=120)
+    return reports
+
+
+def test_pieces_that_nobody_sees_stay_behind(farm, floor, floor_whole):
+    worker = farm.worker(threads=3)
+    for name, most in (("wall", 0.05), ("floor", 0.8)):
+        report = farm.wait_job(farm.submit(floor / f"{name}.json", *OPTIONS), timeout=120)
+        assert report["image_sha256"] == floor_whole[name]["image_sha256"]
+        whole = floor_whole[name]["bytes"]["scene_sent"]
+        assert 0 < report["bytes"]["scene_sent"] < most * whole, (name, report["bytes"], whole)
+        assert report["units"]["retried"] == 0
+    assert "late=1 of=1" in worker.log()
+    report = farm.wait_job(farm.submit(floor / "floor.json", *OPTIONS, "--seed", 9), timeout=120)
+    assert report["bytes"]["scene_sent"] < 0.1 * floor_whole["floor"]["bytes"]["scene_sent"]
+
+
+def test_explain_lists_pieces(floor):
+    facts = json.loads(tilery("explain", floor / "floor.json", "--json").stdout)
+    kinds = [chunk["kind"] for chunk in facts["chunks"]]
+    assert kinds.count("piece") == (LARGE // 512) ** 2 and kinds.count("base") == 1
+    pictures = sum(chunk["sent"] for chunk in facts["chunks"] if chunk["kind"] in ("piece", "base"))
+    assert facts["late"] == {"pictures": 1, "sent": pictures}
+
+
+def test_damaged_pieces_are_asked_for_again(farm, floor, floor_whole):
+    with Proxy(farm.listen, damage(2)) as proxy:
+        farm.worker(threads=2, master=proxy.address)
+        report = farm.wait_job(farm.submit(floor / "floor.json", *OPTIONS), timeout=120)
+        assert proxy.injected == 2
+    assert report["image_sha256"] == floor_whole["floor"]["image_sha256"]
+
+
+def test_master_killed_while_pieces_come(farm, floor, floor_whole):
+    with Proxy(farm.listen, slow) as proxy:
+        worker = farm.worker(threads=2, master=proxy.address, arguments=("--log", "debug"))
+        job = farm.submit(floor / "floor.json", *OPTIONS)
+        wait_until(lambda: "lacks pictures" in worker.log(), "a unit that lacks pieces", 60)
+        farm.kill_master()
+        time.sleep(0.3)
+        farm.start_master()
+        report = farm.wait_job(job, timeout=120)
+        assert worker.process.poll() is None
+    assert report["image_sha256"] == floor_whole["floor"]["image_sha256"]
