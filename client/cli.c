@@ -1,7 +1,6 @@
 #include "client/cli.h"
 
 #include <errno.h>
-#include <signal.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -233,7 +232,6 @@ static int run(struct cli *cli, int argc, char **argv)
 
 int cli_main(int argc, char **argv)
 {
-    (void)signal(SIGPIPE, SIG_IGN);
     if (argc < 2)
         return print_overview(false);
     if (strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0)

@@ -53,6 +53,7 @@ static bool confine(uint64_t cpu_s)
             return false;
     }
     (void)signal(SIGPIPE, SIG_DFL);
+    (void)signal(SIGXFSZ, SIG_DFL);
     return prctl(PR_SET_PDEATHSIG, SIGKILL) == 0 && prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0 &&
            limit(RLIMIT_CORE, 0, 0) && limit(RLIMIT_CPU, cpu_s, cpu_s + 1) &&
            limit(RLIMIT_FSIZE, 0, 0) && limit(RLIMIT_NOFILE, 256, 256);

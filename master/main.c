@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <sys/resource.h>
 
+#include "common/process.h"
 #include "master/durable.h"
 #include "master/farm.h"
 #include "master/http.h"
@@ -38,7 +39,6 @@ static void on_signal(uv_signal_t *signal, int number)
 static void watch_signals(struct program *p)
 {
     static const int numbers[2] = {SIGTERM, SIGINT};
-    (void)signal(SIGPIPE, SIG_IGN);
     for (int i = 0; i < 2; i++) {
         (void)uv_signal_init(&p->loop, &p->signals[i]);
         p->signals[i].data = p;
@@ -91,6 +91,7 @@ int main(int argc, char **argv)
     static struct program p;
     struct options options;
     int status = 0;
+    process_prepare();
     if (!options_parse(argc, argv, &options, &status))
         return status;
     log_set_level(options.level);

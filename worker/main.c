@@ -12,6 +12,7 @@
 #include "common/determinism.h"
 #include "common/file_io.h"
 #include "common/log.h"
+#include "common/process.h"
 #include "common/tags.h"
 #include "proto/transport.h"
 #include "worker/render/render.h"
@@ -396,6 +397,7 @@ static int run(struct program *p, const struct session_options *options)
 int main(int argc, char **argv)
 {
     static struct program p;
+    process_prepare();
     int status = parse_options(&p, argc, argv);
     if (status != GO_ON)
         return status;

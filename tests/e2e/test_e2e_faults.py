@@ -10,7 +10,7 @@ import time
 import pytest
 
 import exr_pixels
-from farm import (GLASS_SCENE, SEED_SCENE, SLOW, Farm, alive, children_of, clean_env, interrupt,
+from farm import (BIN, GLASS_SCENE, SEED_SCENE, SLOW, Farm, alive, children_of, clean_env, interrupt,
                   name_of, report_of, samples, start_tilery, tilery, wait_until)
 
 # A few seconds on two workers of one thread.
@@ -295,6 +295,62 @@ def test_interrupt_at_any_moment(tmp_path):
         assert process.returncode in (130, -signal.SIGINT), (seed, err)
         wait_until(lambda c=children: not any(alive(pid) for pid in c), "the children to end", 3)
         assert not (tmp_path / "a.exr").exists(), seed
+
+
+# --- Standard files ---------------------------------------------------------
+
+
+def run_shell(line, **kwargs):
+    """A line of bash with the programs in its path."""
+    env = clean_env(PATH=f"{BIN}:{os.environ['PATH']}")
+    return subprocess.run(["bash", "-c", line], env=env, capture_output=True, text=True,
+                          timeout=60 * SLOW, check=False, **kwargs)
+
+
+def test_daemons_without_standard_files(tmp_path):
+    """`tilery-master <&- 2>&-` aborted at its end: an event loop had the number of standard error,
+    which libuv does not close; what was logged went into a pipe between its threads."""
+    script = """
+        cd "$1"
+        tilery-master --listen 127.0.0.1:0 --http 127.0.0.1:0 --data data <&- 2>&- >said &
+        master=$!
+        until [ -s said ]; do sleep 0.02; done
+        listen=$(sed 's/.*"listen": "\\([^"]*\\).*/\\1/' said)
+        export TILERY_MASTER=http://$(sed 's/.*"http": "\\([^"]*\\).*/\\1/' said)
+        tilery-worker --master "$listen" --threads 1 <&- >&- 2>&- &
+        worker=$!
+        tilery submit "$2" --spp 2 --size 32x32 --wait -o out.exr <&- 2>&- >job
+        echo "submit $?"
+        for fd in 0 1 2; do readlink /proc/$master/fd/$fd /proc/$worker/fd/$fd; done
+        kill $worker; wait $worker; echo "worker $?"
+        kill $master; wait $master; echo "master $?"
+    """
+    done = subprocess.run(["bash", "-c", script, "-", str(tmp_path), str(SEED_SCENE)],
+                          env=clean_env(PATH=f"{BIN}:{os.environ['PATH']}"), capture_output=True,
+                          text=True, timeout=60 * SLOW, check=False)
+    null = "/dev/null\n"
+    assert done.stdout == (f"submit 0\n{null * 2}{tmp_path}/said\n{null * 3}"
+                           "worker 0\nmaster 0\n"), done.stderr
+    assert (tmp_path / "out.exr").exists()
+
+
+def write_small_scene(path):
+    """Balls alone, so that no other file is read."""
+    path.write_text(json.dumps({
+        "integrator": {}, "film": {}, "camera": {"position": [0, 0, 5]},
+        "materials": {"m": {"type": "diffuse", "color": 0.5}},
+        "objects": [{"type": "sphere", "center": [0, 0, 0], "material_name": "m"},
+                    {"type": "sphere", "center": [0, 5, 0], "light": {"type": "area"}}]}))
+
+
+def test_file_size_limit(tmp_path):
+    """A limit of the size of files ended the program by a signal (SIGXFSZ), without a word."""
+    write_small_scene(tmp_path / "two.json")
+    done = run_shell("ulimit -f 0; tilery render two.json -o a.exr --size 8x8 --spp 1",
+                     cwd=tmp_path)
+    assert done.returncode == 5, (done.returncode, done.stderr)
+    assert "ile too large" in done.stderr or "disk full" in done.stderr
+    assert not (tmp_path / "a.exr").exists()
 
 
 # --- Disks -----------------------------------------------------------------
