@@ -75,9 +75,11 @@ bool cli_put(const char *text, size_t bytes)
     static bool reported;
     if (fwrite(text, 1, bytes, stdout) == bytes && fflush(stdout) == 0)
         return true;
-    if (!reported && errno != EPIPE)
-        cli_error("output", NULL, "cannot write to standard output: %s", strerror(errno));
+    int why = errno;
+    if (!reported && why != EPIPE)
+        cli_error("output", NULL, "cannot write to standard output: %s", strerror(why));
     reported = true;
+    errno = why;
     return false;
 }
 
@@ -180,12 +182,13 @@ static int print_overview(bool asked)
     struct buf out;
     buf_init(&out);
     cli_help_overview(&out);
+    int status = EXIT_USAGE;
     if (asked)
-        (void)cli_put_buf(&out);
+        status = cli_put_buf(&out) ? EXIT_DONE : EXIT_MACHINE;
     else if (buf_status(&out) == ERR_OK)
         (void)fwrite(out.data, 1, out.bytes, stderr);
     buf_release(&out);
-    return asked ? EXIT_DONE : EXIT_USAGE;
+    return status;
 }
 
 static int usage_problems(const struct diag_list *problems)

@@ -40,7 +40,8 @@ static int write_report(const struct farm *farm, const struct cli *cli)
     return e == ERR_OK ? EXIT_DONE : cli_cannot_write(path, e, 0, 0, NULL);
 }
 
-static void print_json_end(const struct farm *farm, double start_s, int exit_status)
+/* False when it could not be written; a reader that left early has what it wanted. */
+static bool print_json_end(const struct farm *farm, double start_s, int exit_status)
 {
     struct buf line;
     buf_init(&line);
@@ -51,8 +52,10 @@ static void print_json_end(const struct farm *farm, double start_s, int exit_sta
     while (line.bytes > 0 && line.data[line.bytes - 1] == '\n')
         line.bytes--;
     buf_printf(&line, "}\n");
-    (void)cli_put_buf(&line);
+    errno = 0;
+    bool written = cli_put_buf(&line) || errno == EPIPE;
     buf_release(&line);
+    return written;
 }
 
 static void print_block(const struct json *report, const char *title)
@@ -127,12 +130,14 @@ int cmd_wait_report(struct farm *farm, const struct cli *cli, const char *job, c
     status = write_report(farm, cli);
     if (status == EXIT_DONE && !job_ok)
         status = failed_status(farm, reply.json.root);
-    if (cli->json)
-        print_json_end(farm, start_s, status);
-    else if (!cli->quiet)
+    if (cli->json) {
+        if (!print_json_end(farm, start_s, status) && status == EXIT_DONE)
+            status = EXIT_MACHINE;
+    } else if (!cli->quiet) {
         print_block(reply.json.root, title);
-    else
+    } else {
         warn_nonfinite(reply.json.root);
+    }
     if (!job_ok)
         say_failure(reply.json.root, job);
     farm_json_release(&reply);

@@ -334,6 +334,16 @@ def test_daemons_without_standard_files(tmp_path):
     assert (tmp_path / "out.exr").exists()
 
 
+@pytest.mark.parametrize("words", ["--help", "help render", "explain two.json",
+                                   "render two.json -o a.exr --json --size 8x8 --spp 1"])
+def test_standard_output_full(tmp_path, words):
+    """What was asked for could not be written: 5. --help and the last line of --json said 0."""
+    write_small_scene(tmp_path / "two.json")
+    done = run_shell(f"tilery {words} >/dev/full", cwd=tmp_path)
+    assert done.returncode == 5, done.stderr
+    assert "cannot write to standard output: No space left on device" in done.stderr
+
+
 def write_small_scene(path):
     """Balls alone, so that no other file is read."""
     path.write_text(json.dumps({
