@@ -238,13 +238,21 @@ void progress_tick(struct progress *p, double now_s)
         plain_line(p, now_s);
 }
 
-/* "unit 118 failed on w2: ..." and "unit 120 failed on w1: ..." are of one kind: numbers aside. */
+static bool is_digit(char c)
+{
+    return c >= '0' && c <= '9';
+}
+
+/* "unit 118 failed on w2: ..." and "unit 120 failed on w1: ..." are of one kind: "unit N failed on
+ * wN: ...". */
 static void kind_of(const char *line, char out[PROGRESS_KIND_BYTES])
 {
     size_t used = 0;
     for (; *line && used + 1 < PROGRESS_KIND_BYTES; line++)
-        if (*line < '0' || *line > '9')
+        if (!is_digit(*line))
             out[used++] = *line;
+        else if (!is_digit(line[1]))
+            out[used++] = 'N';
     out[used] = '\0';
 }
 

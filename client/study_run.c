@@ -44,6 +44,7 @@ struct run {
     double end_s; /* of the budget; the farm's deadline may be nearer for a while */
     bool fixed;   /* the size was asked for */
     double wall_s[STUDY_POINTS_MAX]; /* what a render of the point took last */
+    char plan_said[200];
 };
 
 static double left_s(const struct run *r)
@@ -147,14 +148,18 @@ static int run_pilot(struct run *r, const struct job_spec *spec, struct study_pi
     return status == EXIT_DONE ? measure_speed(r, spec, pilot) : status;
 }
 
+/* Later plans are often the same again: each is said once. */
 static void say_plan(struct run *r)
 {
-    char line[200];
+    char line[sizeof r->plan_said];
     (void)snprintf(line, sizeof line,
                    "%ux%u pixels%s, %u points around %" PRIu64 " spp; references of 2 x %" PRIu64
                    " spp",
                    r->s->width, r->s->height, r->s->reduced ? " (the budget allows no more)" : "",
                    r->s->point_count, r->s->base_spp, r->s->reference_spp);
+    if (strcmp(line, r->plan_said) == 0)
+        return;
+    memcpy(r->plan_said, line, sizeof line);
     progress_event(r->f->progress, line, follow_now_s());
 }
 
