@@ -63,10 +63,15 @@ void cli_say(const struct cli *cli, const char *format, ...)
 int cli_problems(const struct diag_list *problems, const char *tail)
 {
     diag_print(problems, stderr);
-    if (problems->error_count == 0)
+    return cli_problem_count(problems->error_count, tail);
+}
+
+int cli_problem_count(size_t errors, const char *tail)
+{
+    if (errors == 0)
         return EXIT_DONE;
-    (void)fprintf(stderr, "%zu problem%s%s%s\n", problems->error_count,
-                  problems->error_count == 1 ? "" : "s", tail ? ", " : "", tail ? tail : "");
+    (void)fprintf(stderr, "%zu problem%s%s%s\n", errors, errors == 1 ? "" : "s", tail ? ", " : "",
+                  tail ? tail : "");
     return EXIT_INPUT;
 }
 

@@ -51,6 +51,9 @@ void cli_say(const struct cli *cli, const char *format, ...) TL_PRINTF(2, 3);
  * these are errors and warnings. */
 int cli_problems(const struct diag_list *problems, const char *tail);
 
+/* The line of the count alone, where inputs are more than one. */
+int cli_problem_count(size_t errors, const char *tail);
+
 /* Writes to standard output; a failure there (disk full, closed pipe) is reported once. False if
  * it failed. */
 bool cli_put(const char *text, size_t bytes);

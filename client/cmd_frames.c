@@ -63,11 +63,12 @@ static int check_marks(const struct cli *cli)
     return EXIT_DONE;
 }
 
-/* Every scene, read and dropped; all problems are printed. */
+/* Every scene, read and dropped; all problems are printed, and their count last. */
 static int check_scenes(const struct cli *cli, struct frames frames)
 {
     static struct framed framed; /* too large for the stack; one thread */
     int worst = EXIT_DONE;
+    size_t errors = 0;
     for (uint64_t n = frames.first; n <= frames.last; n++) {
         struct load load;
         int status = framed_make(&framed, cli, (uint32_t)n);
@@ -76,13 +77,18 @@ static int check_scenes(const struct cli *cli, struct frames frames)
         if (status != EXIT_DONE)
             return status;
         load_scene(&load, &framed.cli.line, false);
-        status = load_explain(&load, "no job made");
-        load_release(&load);
-        if (status == EXIT_MACHINE)
+        if (load.status == EXIT_MACHINE) {
+            status = load_explain(&load, "no job made");
+            load_release(&load);
             return status;
-        if (status > worst)
-            worst = status;
+        }
+        diag_print(&load.problems, stderr);
+        errors += load.problems.error_count;
+        if (load.status > worst)
+            worst = load.status;
+        load_release(&load);
     }
+    (void)cli_problem_count(errors, "no job made");
     return worst;
 }
 

@@ -110,6 +110,7 @@ def test_a_mistake_in_one_frame_makes_no_job(farm, shot, tmp_path):
     refused = farm.cli("submit", shot, *SIZE, "--frames", "1-5")
     assert refused.returncode == 3
     assert "shot.0003.json" in refused.stderr and "shot.0005.json" in refused.stderr
+    assert refused.stderr.endswith("2 problems, no job made\n")  # was said for each frame
     assert farm.request("GET", "/api/v1/jobs")[1]["items"] == []
 
 
