@@ -8,6 +8,7 @@
 #include "client/frames.h"
 #include "client/out_file.h"
 #include "client/shot.h"
+#include "common/json_put.h"
 
 /* "picture.exr" or the like, by the ending of -o; NULL: has said what is wrong. */
 static const char *what_of(const struct cli *cli)
@@ -24,6 +25,21 @@ static const char *what_of(const struct cli *cli)
     return NULL;
 }
 
+/* For programs: a line a picture. */
+static bool put_fetched(const char *job, const char *path)
+{
+    struct buf b;
+    buf_init(&b);
+    buf_printf(&b, "{\"id\":");
+    json_put_text(&b, job);
+    buf_printf(&b, ",\"file\":");
+    json_put_text(&b, path);
+    buf_printf(&b, "}\n");
+    bool ok = cli_put_buf(&b);
+    buf_release(&b);
+    return ok;
+}
+
 static int fetch(struct farm *farm, const struct cli *cli, const char *job, const char *what,
                  const char *path)
 {
@@ -32,9 +48,12 @@ static int fetch(struct farm *farm, const struct cli *cli, const char *job, cons
         return cli_cannot_write(path, e, errno, 0, NULL);
     int status =
         farm_fetch_picture(farm, job, what, path, "the farm keeps it: try again elsewhere");
-    if (status == EXIT_DONE)
-        cli_say(cli, "%s", path);
-    return status;
+    if (status != EXIT_DONE)
+        return status;
+    if (cli->json)
+        return put_fetched(job, path) ? EXIT_DONE : EXIT_MACHINE;
+    cli_say(cli, "%s", path);
+    return EXIT_DONE;
 }
 
 /* All that are done; 1 when some are not. */

@@ -98,7 +98,10 @@ def test_changes_to_all_and_to_one(farm, shot, tmp_path):
     assert farm.cli("watch", job, "--progress", "none").returncode == 0
     assert farm.cli("get", job, "-o", tmp_path / "one.exr").returncode == 2
     assert farm.cli("get", job, "--frame", 4, "-o", tmp_path / "one.exr").returncode == 0
-    assert farm.cli("get", job, "-o", tmp_path / "x.####.exr").returncode == 0
+    got = farm.cli("get", job, "-o", tmp_path / "x.####.exr", "--json")
+    assert got.returncode == 0 and got.stderr == ""  # said it for people, and nothing on stdout
+    assert [json.loads(line)["file"] for line in got.stdout.splitlines()] == [
+        str(tmp_path / f"x.000{n}.exr") for n in range(1, 6)]
     assert (tmp_path / "x.0004.exr").read_bytes() == (tmp_path / "one.exr").read_bytes()
     assert farm.cli("status", job, "--frame", 9).returncode == 4
     assert farm.cli("get", "j99", "--frame", 1, "-o", tmp_path / "n.exr").returncode == 4
