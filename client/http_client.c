@@ -255,6 +255,9 @@ static void say_why(struct http_client *c, CURLcode code, enum err failure)
         (void)snprintf(c->error, sizeof c->error, "no such host");
     else if (code == CURLE_OPERATION_TIMEDOUT)
         (void)snprintf(c->error, sizeof c->error, "no answer in time");
+    else if (code == CURLE_GOT_NOTHING)
+        (void)snprintf(c->error, sizeof c->error,
+                       "closed without an answer; is that the master's --http address?");
     else if (!c->error[0])
         (void)snprintf(c->error, sizeof c->error, "%s",
                        failure == err_of_curl(code) ? curl_easy_strerror(code) : err_text(failure));

@@ -283,6 +283,12 @@ static void connect_later(struct session *s, bool at_once)
     (void)uv_timer_start(&s->reconnect, on_reconnect_timer, ms, 0);
 }
 
+/* What has said nothing, or something else than a master says to workers. */
+static bool is_stranger(enum err why)
+{
+    return why == ERR_TIMEOUT || why == ERR_CORRUPT;
+}
+
 /* One line when it begins, not one an attempt. */
 static void log_loss(struct session *s, bool was_registered, enum err why)
 {
@@ -291,8 +297,10 @@ static void log_loss(struct session *s, bool was_registered, enum err why)
                  s->options.master, why == ERR_OK ? "closed by the master" : err_text(why),
                  work_result_count(s->work));
     else if (s->lost_count == 1)
-        log_warn("session", "cannot register master=%s why=\"%s\", trying on every %d ms",
-                 s->options.master, err_text(why), RECONNECT_MS_MAX);
+        log_warn("session", "cannot register master=%s why=\"%s%s\", trying on every %d ms",
+                 s->options.master, err_text(why),
+                 is_stranger(why) ? "; is that the master's --listen address?" : "",
+                 RECONNECT_MS_MAX);
     else
         log_debug("session", "cannot register master=%s why=\"%s\"", s->options.master,
                   err_text(why));

@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from farm import BIN, ROOT, SEED_SCENE, Farm, clean_env, tilery
+from farm import BIN, ROOT, SEED_SCENE, Farm, clean_env, tilery, wait_until
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -72,6 +72,14 @@ def test_good_scene(farm, tmp_path):
     facts = json.loads(done.stdout)
     assert facts["triangles"] == 1 and facts["spheres"] == 1 and facts["lights"] == 1
     assert "diffuse" in facts["needs"] and "glass" in facts["needs_not"]
+
+
+def test_ports_taken_for_each_other(farm, tmp_path):
+    """Somebody takes the master's port for workers for that of HTTP, or the other way round."""
+    done = farm.cli("jobs", env=clean_env(TILERY_MASTER=f"http://{farm.listen}"))
+    assert done.returncode == 4 and "is that the master's --http address?" in done.stderr
+    worker = farm.worker(master=farm.http, wait=False)
+    wait_until(lambda: "is that the master's --listen address?" in worker.log(), "the worker's log")
 
 
 PLACES = {
