@@ -297,6 +297,14 @@ static enum err unreadable(const char *path, enum err e, struct diag_list *probl
     return ERR_INPUT;
 }
 
+/* Bytes of the byte order mark that some editors begin UTF-8 with; RFC 8259 lets readers pass over
+ * it. */
+static size_t mark_bytes(const char *text, size_t bytes)
+{
+    static const char mark[] = {'\xef', '\xbb', '\xbf'};
+    return bytes >= sizeof mark && memcmp(text, mark, sizeof mark) == 0 ? sizeof mark : 0;
+}
+
 enum err scene_json_read_file(const char *path, struct scene *scene, struct job_spec *spec,
                               struct diag_list *problems)
 {
@@ -308,7 +316,9 @@ enum err scene_json_read_file(const char *path, struct scene *scene, struct job_
     if (e != ERR_OK)
         return unreadable(path, e, problems);
     char *folder = file_folder(path);
-    e = folder ? scene_json_read(text, bytes, path, folder, scene, spec, problems) : ERR_NOMEM;
+    size_t mark = mark_bytes(text, bytes);
+    e = folder ? scene_json_read(text + mark, bytes - mark, path, folder, scene, spec, problems)
+               : ERR_NOMEM;
     if (e == ERR_OK)
         scene->source_bytes += bytes;
     mem_free(folder);

@@ -82,6 +82,14 @@ def test_ports_taken_for_each_other(farm, tmp_path):
     wait_until(lambda: "is that the master's --listen address?" in worker.log(), "the worker's log")
 
 
+def test_byte_order_mark(tmp_path):
+    """An editor's byte order mark was "expected a value, found byte 0xef"."""
+    (tmp_path / "triangle.obj").write_text(TRIANGLE)
+    (tmp_path / "scene.json").write_bytes(b"\xef\xbb\xbf" + json.dumps(GOOD).encode())
+    done = tilery("explain", tmp_path / "scene.json")
+    assert done.returncode == 0, done.stderr
+
+
 PLACES = {
     "missing mesh file": (("objects", 0, "path"), "none.obj", "$.objects[0].path", "none.obj"),
     "other case": (("objects", 0, "path"), "Triangle.obj", "$.objects[0].path", "triangle.obj"),
