@@ -60,7 +60,8 @@ enum err picture_read(const char *path, struct picture *out, struct diag_list *p
     enum err e = file_read(path, UINT64_C(1) << 34, &data, &bytes);
     if (e != ERR_OK) {
         char *hint = e == ERR_NOT_FOUND ? file_missing_hint(path) : NULL;
-        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path}, "missing-file", hint,
+        diag_add(problems, DIAG_ERROR, (struct diag_place){.file = path},
+                 e == ERR_NOT_FOUND ? "missing-file" : "unreadable-file", hint,
                  "cannot be read: %s", file_read_why(path, e));
         mem_free(hint);
         return ERR_INPUT;

@@ -70,8 +70,10 @@ const char *file_read_why(const char *path, enum err e)
         return "no such file";
     if (e == ERR_LIMIT)
         return "larger than any such file is";
-    if (e != ERR_IO || stat(path, &st) != 0)
+    if (e != ERR_IO)
         return err_text(e);
+    if (stat(path, &st) != 0)
+        return errno == ELOOP ? "a link that leads back to itself" : err_text(e);
     if (S_ISDIR(st.st_mode))
         return "a folder";
     if (!S_ISREG(st.st_mode))

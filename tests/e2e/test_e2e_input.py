@@ -247,6 +247,14 @@ def test_why_a_file_cannot_be_read(tmp_path, kind):
             done = tilery("explain", tmp_path / "scene.json", timeout=20)
         assert done.returncode == 3, done
         assert f"cannot be read: {why}\n" in done.stderr, done.stderr
+        assert "[unreadable-file]" in done.stderr  # `compare` called a folder a missing file
+
+
+def test_a_link_to_itself(tmp_path):
+    """That was an "input/output error"."""
+    (tmp_path / "loop.json").symlink_to("loop.json")
+    refused(tilery("render", tmp_path / "loop.json", "-o", tmp_path / "a.exr"),
+            "cannot be read: a link that leads back to itself")
 
 
 @pytest.mark.parametrize("content", (b"", b"root:x:0:0:root:/root:/bin/sh\n", b"\x7fELF\2\1\1" * 99))
