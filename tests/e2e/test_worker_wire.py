@@ -50,8 +50,9 @@ class WorkerWire(unittest.TestCase):
         cls.folder = tempfile.TemporaryDirectory()
         cls.package = Package(cls.folder.name, side=64, spp=4, cells_per_unit=4)
         cls.slow_folder = tempfile.TemporaryDirectory()
-        # Half a second a unit.
-        cls.slow = Package(cls.slow_folder.name, side=256, spp=32, cells_per_unit=128)
+        # Half a second a unit; some seconds with sanitizers, where a sample costs ten times as much.
+        cls.slow = Package(cls.slow_folder.name, side=256, spp=8 if sanitized() else 32,
+                           cells_per_unit=128)
 
     @classmethod
     def tearDownClass(cls):
