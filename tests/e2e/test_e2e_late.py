@@ -32,16 +32,20 @@ def farm(tmp_path):
 OPTIONS = ("--spp", 4, "--size", "96x72")
 
 
-@pytest.fixture(scope="module")
-def eager(gallery, tmp_path_factory):
-    """Reports of both scenes from a worker that fetches all at once, by the scene's name."""
+def whole_reports(folder, names, tmp_path_factory):
+    """Reports of scenes from a worker that fetches all at once, by the scene's name."""
     reports = {}
-    for name in ("rooms", "wall"):
+    for name in names:
         with Farm(tmp_path_factory.mktemp(name)) as f:
             f.worker(threads=2, arguments=("--eager",))
-            reports[name] = f.wait_job(f.submit(gallery / f"{name}.json", *OPTIONS), timeout=120)
+            reports[name] = f.wait_job(f.submit(folder / f"{name}.json", *OPTIONS), timeout=120)
             assert "pictures come when they are met" not in f.workers[0].log()
     return reports
+
+
+@pytest.fixture(scope="module")
+def eager(gallery, tmp_path_factory):
+    return whole_reports(gallery, ("rooms", "wall"), tmp_path_factory)
 
 
 @pytest.mark.parametrize("threads", [(1,), (4,), (2, 1, 1)])
@@ -329,13 +333,7 @@ def floor(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def floor_whole(floor, tmp_path_factory):
-    """Reports of both scenes from a worker that has all of the picture, by the scene's name."""
-    reports = {}
-    for name in ("floor", "wall"):
-        with Farm(tmp_path_factory.mktemp(name)) as f:
-            f.worker(threads=2, arguments=("--eager",))
-            reports[name] = f.wait_job(f.submit(floor / f"{name}.json", *OPTIONS), timeout=120)
-    return reports
+    return whole_reports(floor, ("floor", "wall"), tmp_path_factory)
 
 
 def test_pieces_that_nobody_sees_stay_behind(farm, floor, floor_whole):

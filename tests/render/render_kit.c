@@ -51,6 +51,18 @@ uint32_t kit_constant_texture(struct scene *s, double value)
     return (uint32_t)(s->texture_count - 1);
 }
 
+uint32_t kit_image_texture(struct scene *s, uint32_t image, enum scene_texture_filter filter)
+{
+    uint32_t texture = kit_constant_texture(s, 1);
+    struct scene_texture *t = &s->textures[texture];
+    char *name = t->name;
+    scene_image_texture_init(t);
+    t->name = name;
+    t->image = image;
+    t->filter = filter;
+    return texture;
+}
+
 static struct scene_object *object(struct scene *s, enum scene_object_type type, uint32_t material)
 {
     s->objects = append(s->objects, &s->object_count, sizeof *s->objects);

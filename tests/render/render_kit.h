@@ -13,6 +13,7 @@
 uint32_t kit_material(struct scene *s, enum scene_material_type type, struct scene_material **out);
 uint32_t kit_diffuse(struct scene *s, double r, double g, double b);
 uint32_t kit_constant_texture(struct scene *s, double value);
+uint32_t kit_image_texture(struct scene *s, uint32_t image, enum scene_texture_filter filter);
 uint32_t kit_sphere(struct scene *s, double x, double y, double z, double radius,
                     uint32_t material);
 

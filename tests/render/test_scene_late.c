@@ -35,18 +35,6 @@ static uint32_t add_image(struct scene *s, uint32_t number)
     return (uint32_t)s->image_count++;
 }
 
-static uint32_t add_texture(struct scene *s, uint32_t image, enum scene_texture_filter filter)
-{
-    uint32_t texture = kit_constant_texture(s, 1);
-    struct scene_texture *t = &s->textures[texture];
-    char *name = t->name;
-    scene_image_texture_init(t);
-    t->name = name;
-    t->image = image;
-    t->filter = filter;
-    return texture;
-}
-
 /* A quad that shows a picture, in one of the ways in which a surface can. */
 static void add_shown(struct scene *s, uint32_t number, double x, double y, double z)
 {
@@ -55,8 +43,8 @@ static void add_shown(struct scene *s, uint32_t number, double x, double y, doub
     struct scene_material *m;
     uint32_t material =
         kit_material(s, number % 4 == 0 ? SCENE_MATERIAL_DIFFUSE : SCENE_MATERIAL_PRINCIPLED, &m);
-    uint32_t texture = add_texture(s, add_image(s, number),
-                                   number % 2 ? SCENE_FILTER_MIPMAP : SCENE_FILTER_BILINEAR);
+    uint32_t texture = kit_image_texture(s, add_image(s, number),
+                                         number % 2 ? SCENE_FILTER_MIPMAP : SCENE_FILTER_BILINEAR);
     m = &s->materials[material];
     m->texture = number % 4 < 2 ? texture : kit_constant_texture(s, 0.6);
     m->normal_texture = number % 4 == 2 ? texture : SCENE_NONE;

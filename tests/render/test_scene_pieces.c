@@ -42,18 +42,6 @@ static uint32_t add_image(struct scene *s, uint32_t width, uint32_t height, uint
     return (uint32_t)s->image_count++;
 }
 
-static uint32_t add_texture(struct scene *s, uint32_t image, enum scene_texture_filter filter)
-{
-    uint32_t texture = kit_constant_texture(s, 1);
-    struct scene_texture *t = &s->textures[texture];
-    char *name = t->name;
-    scene_image_texture_init(t);
-    t->name = name;
-    t->image = image;
-    t->filter = filter;
-    return texture;
-}
-
 /* A quad with texture coordinates; its material is a principled one. */
 static struct scene_material *add_quad(struct scene *s, const double corners[12])
 {
@@ -77,16 +65,16 @@ static void make_scene(struct scene *s)
     static const double behind[12] = {20, 0, 9, -20, 0, 9, -20, 20, 9, 20, 20, 9};
     scene_init(s);
     uint32_t image = add_image(s, 1536, 1024, 3, SCENE_IMAGE_U8_SRGB);
-    add_quad(s, floor)->texture = add_texture(s, image, SCENE_FILTER_MIPMAP);
+    add_quad(s, floor)->texture = kit_image_texture(s, image, SCENE_FILTER_MIPMAP);
     image = add_image(s, 1032, 520, 1, SCENE_IMAGE_U8_LINEAR);
-    add_quad(s, wall)->texture = add_texture(s, image, SCENE_FILTER_MIPMAP);
+    add_quad(s, wall)->texture = kit_image_texture(s, image, SCENE_FILTER_MIPMAP);
     image = add_image(s, 1024, 512, 3, SCENE_IMAGE_F32);
     struct scene_material *m = add_quad(s, side);
-    m->bump_texture = add_texture(s, image, SCENE_FILTER_BILINEAR);
+    m->bump_texture = kit_image_texture(s, image, SCENE_FILTER_BILINEAR);
     m->bump_scale = 0.01;
     m->roughness = 0.4;
     image = add_image(s, 1024, 1024, 3, SCENE_IMAGE_U8_SRGB);
-    add_quad(s, behind)->texture = add_texture(s, image, SCENE_FILTER_NEAREST);
+    add_quad(s, behind)->texture = kit_image_texture(s, image, SCENE_FILTER_NEAREST);
     kit_emit(s, kit_sphere(s, 0, 15, -5, 1, kit_diffuse(s, 0, 0, 0)), 200, 200, 200);
     const double camera[3] = {0, 1.6, 0}, at[3] = {-1, 1.2, -4};
     memcpy(s->camera.position, camera, sizeof camera);
